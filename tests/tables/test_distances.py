@@ -38,9 +38,9 @@ def table(**more) -> pa.Table:
     return pa.table(columns | more)
 
 
-def read(folder, content, columns=COLUMNS, **options) -> Batch:
+def read(content, columns=COLUMNS, **options) -> Batch:
     """All rows of a table, in one batch."""
-    observations = opened(folder, content, columns, **options)
+    observations = opened(content, columns, **options)
     (batch,) = observations.batches(10)
     return batch
 
@@ -60,10 +60,10 @@ as_parquet_and_csv = pytest.mark.parametrize("csv", [False, True])
         ([1500, 20], pa.int64()),
     ],
 )
-def test_a_distance_is_read_and_leaves_unchanged(tmp_path, distances, kind, csv):
+def test_a_distance_is_read_and_leaves_unchanged(distances, kind, csv):
     content = table(range=distances, own=distances)
 
-    observations = opened(tmp_path, content, RANGED, csv=csv)
+    observations = opened(content, RANGED, csv=csv)
     (batch,) = observations.batches(10)
 
     assert names_of(observations.user_fields) == ["range", "own"]
@@ -80,8 +80,8 @@ def test_a_distance_is_read_and_leaves_unchanged(tmp_path, distances, kind, csv)
         COLUMNS | {"distance_m": None},
     ],
 )
-def test_without_the_column_there_are_no_distances(tmp_path, columns):
-    batch = read(tmp_path, table(range=PAIR), columns)
+def test_without_the_column_there_are_no_distances(columns):
+    batch = read(table(range=PAIR), columns)
 
     assert batch.distance_m is None
     assert batch.no_distance == 0
@@ -100,9 +100,9 @@ NUMBERS = [
 ]
 
 
-def test_what_is_no_distance_is_counted_and_taken_as_absent(tmp_path):
+def test_what_is_no_distance_is_counted_and_taken_as_absent():
     """Null and NaN are absent, not nonsense; zero is not a slant range."""
-    observations = opened(tmp_path, table(range=NUMBERS), RANGED)
+    observations = opened(table(range=NUMBERS), RANGED)
 
     batches = list(observations.batches(3))
 
@@ -114,9 +114,9 @@ def test_what_is_no_distance_is_counted_and_taken_as_absent(tmp_path):
     assert batches[0].users["range"].to_pylist() == NUMBERS[:3]  # as they came
 
 
-def test_what_is_no_sigma_of_a_ground_height_is_counted(tmp_path):
+def test_what_is_no_sigma_of_a_ground_height_is_counted():
     """Zero is one."""
-    batch = read(tmp_path, table(s=NUMBERS), sigma_column="s")
+    batch = read(table(s=NUMBERS), sigma_column="s")
 
     assert batch.ground_sigma[0] == 0.0
     assert np.isnan(batch.ground_sigma[1:6]).all()
@@ -125,10 +125,10 @@ def test_what_is_no_sigma_of_a_ground_height_is_counted(tmp_path):
     assert batch.users["s"].to_pylist()[:4] == NUMBERS[:4]
 
 
-def test_words_among_the_distances_of_a_csv(tmp_path):
+def test_words_among_the_distances_of_a_csv():
     text = "image,point,x_px,y_px,range\na,p,1,2,150\na,p,1,2,far\na,p,1,2,\na,p,1,2,007\n"
 
-    batch = read(tmp_path, text, RANGED)
+    batch = read(text, RANGED)
 
     assert_array_equal(batch.distance_m, [150.0, math.nan, math.nan, 7.0])
     assert batch.no_distance == 1
@@ -143,7 +143,7 @@ def test_words_among_the_distances_of_a_csv(tmp_path):
         ("apply", "x_corrected_px"),
     ],
 )
-def test_a_column_called_like_one_of_ours_leaves_renamed(tmp_path, direction, column):
+def test_a_column_called_like_one_of_ours_leaves_renamed(direction, column):
     """In either direction: it would make the results look like those of the other one."""
     content = table(u=PAIR, v=PAIR, **{column: PAIR})
     columns = {
@@ -155,16 +155,16 @@ def test_a_column_called_like_one_of_ours_leaves_renamed(tmp_path, direction, co
     }
     ledger = Ledger()
 
-    batch = read(tmp_path, content, columns, direction=direction, ledger=ledger)
+    batch = read(content, columns, direction=direction, ledger=ledger)
 
     assert batch.distance_m.tolist() == PAIR
     assert batch.users[f"{column}_input"].to_pylist() == PAIR
     assert {entry.code for entry in ledger} == {"OBS-RENAMED"}
 
 
-def test_a_distance_that_is_not_there(tmp_path):
+def test_a_distance_that_is_not_there():
     with refused_with("OBS-COLUMN", "perhaps 'ranges'") as refusal:
-        read(tmp_path, table(ranges=PAIR), RANGED)
+        read(table(ranges=PAIR), RANGED)
     assert "observations.columns.distance_m" in str(refusal.value)
 
 
@@ -176,21 +176,21 @@ def test_a_distance_that_is_not_there(tmp_path):
         [dt.date(2024, 1, 1)] * 2,
     ],
 )
-def test_a_distance_of_another_kind(tmp_path, values, csv):
+def test_a_distance_of_another_kind(values, csv):
     with refused("OBS-TYPE"):
-        read(tmp_path, table(range=values), RANGED, csv=csv)
+        read(table(range=values), RANGED, csv=csv)
 
 
 @pytest.mark.parametrize("name", ["x_px", "point"])
-def test_a_distance_that_is_something_else_too(tmp_path, name):
+def test_a_distance_that_is_something_else_too(name):
     columns = COLUMNS | {"distance_m": name}
     with refused_with("OBS-COLUMN", name):
-        read(tmp_path, table(), columns)
+        read(table(), columns)
 
 
-def test_a_distance_is_no_ground_height(tmp_path):
+def test_a_distance_is_no_ground_height():
     with refused_with("OBS-COLUMN", "two quantities"):
-        read(tmp_path, table(range=PAIR), RANGED, ground="range")
+        read(table(range=PAIR), RANGED, ground="range")
 
 
 # What was done to a table before.
@@ -207,13 +207,13 @@ def marked(mark: str, **more) -> pa.Table:
         ("applied", "displaced", "remove"),
     ],
 )
-def test_what_is_removed_may_be_applied_and_the_reverse(tmp_path, mark, kind, direction):
+def test_what_is_removed_may_be_applied_and_the_reverse(mark, kind, direction):
     x = f"x_{kind}_px"
     y = f"y_{kind}_px"
     results = marked(mark, **{x: PAIR, y: [0.0, 1.0]})
     columns = COLUMNS | {"x_px": x, "y_px": y}
 
-    observations = opened(tmp_path, results, columns, direction=direction)
+    observations = opened(results, columns, direction=direction)
     (batch,) = observations.batches(10)
 
     assert batch.x_px.tolist() == PAIR
@@ -228,14 +228,14 @@ def test_what_is_removed_may_be_applied_and_the_reverse(tmp_path, mark, kind, di
         ("applied", "apply", "OBS-ALREADY-DISPLACED"),
     ],
 )
-def test_nothing_is_done_twice(tmp_path, mark, direction, code):
+def test_nothing_is_done_twice(mark, direction, code):
     content = marked(mark)
 
     with refused_with(code, f"refraction {mark}"):
-        opened(tmp_path, content, direction=direction)
+        opened(content, direction=direction)
 
     # A mark alone says which pixels these are only together with the columns of ours.
-    opened(tmp_path, content, direction=OPPOSITE[direction])
+    opened(content, direction=OPPOSITE[direction])
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
@@ -246,11 +246,11 @@ def test_nothing_is_done_twice(tmp_path, mark, direction, code):
         ("apply", "OBS-ALREADY-DISPLACED", "displaced"),
     ],
 )
-def test_a_csv_has_no_mark_but_columns(tmp_path, direction, code, kind, axis):
+def test_a_csv_has_no_mark_but_columns(direction, code, kind, axis):
     column = f"{axis}_{kind}_px"
     content = table(**{column: PAIR})
     with refused_with(code, column):
-        opened(tmp_path, content, csv=True, direction=direction)
+        opened(content, csv=True, direction=direction)
 
 
 @pytest.mark.parametrize(
@@ -261,16 +261,16 @@ def test_a_csv_has_no_mark_but_columns(tmp_path, direction, code, kind, axis):
     ],
 )
 @pytest.mark.parametrize("axis", ["x", "y"])
-def test_the_other_pixels_of_our_own_table(tmp_path, direction, kind, meaning, axis):
+def test_the_other_pixels_of_our_own_table(direction, kind, meaning, axis):
     x = f"x_{kind}_px"
     y = f"y_{kind}_px"
     content = table(**{x: PAIR, y: PAIR})
     right = COLUMNS | {"x_px": x, "y_px": y}
-    opened(tmp_path, content, right, direction=direction)
+    opened(content, right, direction=direction)
 
     wrong = right | {f"{axis}_px": f"{axis}_px"}
     with refused_with("OBS-OTHER-PIXELS", meaning) as refusal:
-        opened(tmp_path, content, wrong, direction=direction)
+        opened(content, wrong, direction=direction)
     assert f"observations.columns.{axis}_px: {axis}_{kind}_px" in str(refusal.value)
 
 

@@ -74,22 +74,29 @@ def column(field, place=PLACE, time_ns=NOON, ground_h_m=450.0):
     )
 
 
-def column_of(fields, folder, place=PLACE, ground_h_m=450.0, **how):
+def as_netcdf(fields) -> Path:
+    return netcdf(Path("era5.nc").absolute(), fields)
+
+
+def as_grib(fields, lead_h=0) -> Path:
+    return grib(Path("gfs.grib2").absolute(), fields, lead_h)
+
+
+def column_of(fields, place=PLACE, ground_h_m=450.0, **how):
     """The column of fields that are written as netCDF, and what is said of it."""
-    path = netcdf(folder / "era5.nc", fields)
-    field = read(path, place, **how)
+    field = read(as_netcdf(fields), place, **how)
     return column(field, place, ground_h_m=ground_h_m)
 
 
-def test_a_dimension_that_is_not_known_is_named(fields, tmp_path):
+def test_a_dimension_that_is_not_known_is_named(fields):
     temperatures = xarray.concat([fields.t, fields.t], dim="percentile")
     twice = fields.assign(t=temperatures)
     with refused_with("MODEL-VARIABLE", r"percentile \(2\)"):
-        read(netcdf(tmp_path / "percentiles.nc", twice))
+        read(as_netcdf(twice))
 
 
-def test_a_bug_is_no_damaged_file(fields, tmp_path):
-    path = netcdf(tmp_path / "era5.nc", fields)
+def test_a_bug_is_no_damaged_file(fields):
+    path = as_netcdf(fields)
     with pytest.raises(ZeroDivisionError), open_datasets(path) as (datasets, _):
         assert 1 / (len(datasets) - 1)
 
@@ -100,8 +107,8 @@ def on_levels(column) -> np.ndarray:
     return np.isclose(steps, np.round(steps))
 
 
-def test_a_column_is_between_its_nodes_in_place_and_time(fields, tmp_path):
-    read_column, _ = column_of(fields, tmp_path)
+def test_a_column_is_between_its_nodes_in_place_and_time(fields):
+    read_column, _ = column_of(fields)
     # Half past ten, 0.6 degrees east of 8: 1 K and 0.6 K warmer.
     rows = on_levels(read_column)
     h = read_column.h_m[rows]
@@ -169,14 +176,14 @@ SAME_AIR = {
 
 
 @pytest.mark.parametrize("what", SAME_AIR)
-def test_one_air_by_all_names(fields, tmp_path, what):
-    usual, _ = column_of(fields, tmp_path)
+def test_one_air_by_all_names(fields, what):
+    usual, _ = column_of(fields)
     with xarray.set_options(keep_attrs=True):
         changed = SAME_AIR[what](fields)
     member = 0 if "ensemble" in what else None
     ledger = Ledger()
 
-    same, _ = column_of(changed, tmp_path, member=member, ledger=ledger)
+    same, _ = column_of(changed, member=member, ledger=ledger)
 
     assert not list(ledger)
     low = usual.h_m < 7000.0  # saturation far below freezing is extrapolated differently
@@ -186,10 +193,10 @@ def test_one_air_by_all_names(fields, tmp_path, what):
         assert_allclose(values, getattr(usual, name)[low], rtol=rtol)
 
 
-def test_grib_has_the_air_of_netcdf_and_a_forecast_its_lead_time(fields, tmp_path):
+def test_grib_has_the_air_of_netcdf_and_a_forecast_its_lead_time(fields):
     coarse = fields.isel(pressure_level=slice(None, None, 3))
-    usual, _ = column_of(coarse, tmp_path)
-    path = grib(tmp_path / "gfs.grib2", coarse, lead_h=24)
+    usual, _ = column_of(coarse)
+    path = as_grib(coarse, lead_h=24)
 
     forecast, _ = column(read(path))
 
@@ -200,9 +207,9 @@ def test_grib_has_the_air_of_netcdf_and_a_forecast_its_lead_time(fields, tmp_pat
     assert forecast.errors.log_pressure > usual.errors.log_pressure
 
 
-def test_model_levels_in_grib_give_the_same_air(tmp_path):
+def test_model_levels_in_grib_give_the_same_air():
     fields = on_model_levels(still_air, NORTH, EAST, TIMES[:1], 400.0)
-    field = read(grib(tmp_path / "levels.grib2", fields))
+    field = read(as_grib(fields))
     assert field.on_model_levels
     levels, notes = column(field)
     assert [note.code for note in notes] == ["MODEL-UNDERGROUND"]
@@ -254,29 +261,29 @@ MODEL_LEVELS_REFUSED = {
 
 
 @pytest.mark.parametrize("what", MODEL_LEVELS_REFUSED)
-def test_model_levels_that_make_no_column_are_refused(tmp_path, what):
+def test_model_levels_that_make_no_column_are_refused(what):
     change, code, words = MODEL_LEVELS_REFUSED[what]
     whole = on_model_levels(air, NORTH, (8.0, 9.0), TIMES[:1], 400.0)
     with refused_with(code, words):
-        read(netcdf(tmp_path / "levels.nc", change(whole)))
+        read(as_netcdf(change(whole)))
 
 
 @pytest.mark.parametrize("ground_m", [150.0, 400.0])
-def test_a_low_ground_in_metres_without_a_unit_is_found_by_the_missions(tmp_path, ground_m):
+def test_a_low_ground_in_metres_without_a_unit_is_found_by_the_missions(ground_m):
     """As geopotential it would lie at a tenth, and all levels with it."""
     fields = on_model_levels(still_air, NORTH, EAST, TIMES, ground_m)
     with refused_with("MODEL-UNITS", f"in metres at {ground_m:.0f} m"):
-        column_of(in_metres(fields), tmp_path, ground_h_m=ground_m)
+        column_of(in_metres(fields), ground_h_m=ground_m)
 
 
 @pytest.mark.parametrize("ground_m", [900.0, 2000.0])
-def test_a_high_ground_in_metres_without_a_unit_is_found_by_pressure(tmp_path, ground_m):
+def test_a_high_ground_in_metres_without_a_unit_is_found_by_pressure(ground_m):
     fields = on_model_levels(still_air, NORTH, EAST, TIMES, ground_m)
     ledger = Ledger()
-    usual, _ = column_of(fields, tmp_path, ground_h_m=ground_m, ledger=ledger)
+    usual, _ = column_of(fields, ground_h_m=ground_m, ledger=ledger)
     assert not list(ledger)
 
-    same, _ = column_of(in_metres(fields), tmp_path, ground_h_m=ground_m, ledger=ledger)
+    same, _ = column_of(in_metres(fields), ground_h_m=ground_m, ledger=ledger)
 
     assert_within(same.h_m, usual.h_m, 0.1)
     (entry,) = ledger
@@ -284,14 +291,14 @@ def test_a_high_ground_in_metres_without_a_unit_is_found_by_pressure(tmp_path, g
     assert entry.count == 12
 
 
-def test_gfs_has_relative_humidity_and_geopotential_metres(tmp_path):
+def test_gfs_has_relative_humidity_and_geopotential_metres():
     """Around Greenwich, longitudes from 0 to 360 in a file that goes round the earth."""
     times = ("2026-05-14T09", "2026-05-14T12")
     around = (0.0, 90.0, 180.0, 270.0)
     gfs = dataset(still_air, NORTH, around, times, PRESSURE_LEVELS[::3])
     gfs = relative(gfs)
     gfs = gfs.assign(gh=gfs.z / 9.80665).drop_vars("z")
-    path = grib(tmp_path / "gfs.grib2", gfs, lead_h=3)
+    path = as_grib(gfs, lead_h=3)
     place = (PLACE[0], np.radians(-45.0))
 
     read_column, _ = column(read(path, place), place)
@@ -306,12 +313,12 @@ def test_gfs_has_relative_humidity_and_geopotential_metres(tmp_path):
 
 @pytest.mark.parametrize("first", [178.5, -181.5])
 @pytest.mark.parametrize("longitude", [179.9, -180.1])
-def test_across_the_date_line(fields, tmp_path, first, longitude):
+def test_across_the_date_line(fields, first, longitude):
     east = (first + np.arange(3.0) + 180.0) % 360.0 - 180.0
     over = fields.assign_coords(longitude=east).sortby("longitude")
     place = (PLACE[0], np.radians(longitude))
 
-    read_column, _ = column_of(over, tmp_path, place)
+    read_column, _ = column_of(over, place)
 
     # The nodes keep their columns: 1 K a degree eastwards, half a degree from node to node.
     warmer = 1.0 + 0.5 * (179.9 - 178.5)
@@ -320,11 +327,11 @@ def test_across_the_date_line(fields, tmp_path, first, longitude):
     assert_within(read_column.temperature_k[rows], expected, 0.02)
 
 
-def test_pressures_in_the_wrong_unit_are_repaired_and_reported(fields, tmp_path):
+def test_pressures_in_the_wrong_unit_are_repaired_and_reported(fields):
     wrong = with_levels(fields, fields.pressure_level.values, units="Pa")
     ledger = Ledger()
 
-    field = read(netcdf(tmp_path / "pa.nc", wrong), ledger=ledger)
+    field = read(as_netcdf(wrong), ledger=ledger)
 
     assert field.level[-1] == 100_000.0
     (repaired,) = ledger
@@ -462,10 +469,10 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_is_no_such_field_is_refused_with_its_numbers(fields, tmp_path, what):
+def test_what_is_no_such_field_is_refused_with_its_numbers(fields, what):
     change, code, words = REFUSED[what]
     with refused_with(code, words):
-        read(netcdf(tmp_path / "bad.nc", change(fields)))
+        read(as_netcdf(change(fields)))
 
 
 LAMBERT = (
@@ -475,10 +482,10 @@ LAMBERT = (
 )
 
 
-def test_a_projected_grib_such_as_hrrr_is_refused_by_name(tmp_path):
+def test_a_projected_grib_such_as_hrrr_is_refused_by_name():
     import eccodes
 
-    path = tmp_path / "hrrr.grib2"
+    path = Path("hrrr.grib2")
     with path.open("wb") as file:
         for level in (1000, 850, 700, 500, 300):
             message = eccodes.codes_grib_new_from_samples("regular_ll_pl_grib2")
@@ -491,30 +498,30 @@ def test_a_projected_grib_such_as_hrrr_is_refused_by_name(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["forecast_reference_time", "reftime"])
-def test_the_lead_time_of_a_forecast_counts_from_its_run(fields, tmp_path, name):
+def test_the_lead_time_of_a_forecast_counts_from_its_run(fields, name):
     forecast = fields.assign_coords({name: np.datetime64("2026-05-12T10:30", "ns")})
-    field = read(netcdf(tmp_path / "run.nc", forecast))
+    field = read(as_netcdf(forecast))
     assert field.lead_h.tolist() == [47.5, 48.5]
 
 
-def test_the_lead_time_of_a_forecast_is_its_step(fields, tmp_path):
+def test_the_lead_time_of_a_forecast_is_its_step(fields):
     by_step = fields.isel(valid_time=[0]).rename(valid_time="time")
     by_step = by_step.assign_coords(
         time=[np.datetime64("2026-05-12T10:30", "ns")],
         step=np.timedelta64(48, "h").astype("m8[ns]"),
     )
 
-    field = read(netcdf(tmp_path / "step.nc", by_step))
+    field = read(as_netcdf(by_step))
 
     assert field.time_ns.tolist() == [NOON]
     assert field.lead_h.tolist() == [48.0]
 
 
-def test_hours_between_the_times_of_a_file_are_too_far_from_both(fields, tmp_path):
+def test_hours_between_the_times_of_a_file_are_too_far_from_both(fields):
     day_ns = 86_400 * 10**9
     flown_ns = NOON + np.array([-day_ns, 0, day_ns])
     times = flown_ns[::2].astype("M8[ns]")
-    path = netcdf(tmp_path / "apart.nc", fields.assign_coords(valid_time=times))
+    path = as_netcdf(fields.assign_coords(valid_time=times))
     area = FlightArea(
         np.full(3, PLACE[0]),
         np.full(3, PLACE[1]),
@@ -524,28 +531,28 @@ def test_hours_between_the_times_of_a_file_are_too_far_from_both(fields, tmp_pat
         read_model_field(path, area, Ledger())
 
 
-def test_another_member_than_the_file_has_is_refused(fields, tmp_path):
-    third = netcdf(tmp_path / "third.nc", fields.assign_coords(number=3))
+def test_another_member_than_the_file_has_is_refused(fields):
+    third = as_netcdf(fields.assign_coords(number=3))
     assert read(third, member=3).time_ns.size == 2
     with refused_with("MODEL-MEMBER", "members"):
         read(third, member=4)
     with refused_with("MODEL-MEMBER", "members"):
-        read(netcdf(tmp_path / "none.nc", fields), member=0)
+        read(as_netcdf(fields), member=0)
 
 
-def refuse_place(fields, folder, latitude, longitude, time_ns=NOON):
+def refuse_place(fields, latitude, longitude, time_ns=NOON):
     place = np.radians([[latitude], [longitude]])
-    path = netcdf(folder / "era5.nc", fields)
-    read(path, place, time_ns).refuse_outside(*place)
+    field = read(as_netcdf(fields), place, time_ns)
+    field.refuse_outside(*place)
 
 
 @pytest.mark.parametrize(
     ("when", "hours"),
     [("2026-05-14T18:30", "7.5 h away"), ("2025-05-14T10:30", "8759.5 h away")],
 )
-def test_another_time_is_refused_with_the_distance(fields, tmp_path, when, hours):
+def test_another_time_is_refused_with_the_distance(fields, when, hours):
     with refused_with("MODEL-TIME", hours):
-        refuse_place(fields, tmp_path, 47.3, 8.6, ns(when))
+        refuse_place(fields, 47.3, 8.6, ns(when))
 
 
 @pytest.mark.parametrize(
@@ -556,41 +563,39 @@ def test_another_time_is_refused_with_the_distance(fields, tmp_path, when, hours
         (-171.5, 47.3, "km from its nodes"),
     ],
 )
-def test_another_place_is_refused_with_the_distance(
-    fields, tmp_path, longitude, latitude, distance
-):
+def test_another_place_is_refused_with_the_distance(fields, longitude, latitude, distance):
     with refused_with("MODEL-AREA", distance):
-        refuse_place(fields, tmp_path, latitude, longitude)
+        refuse_place(fields, latitude, longitude)
 
 
-def test_a_hole_in_the_grid_is_no_place_to_interpolate_over(fields, tmp_path):
+def test_a_hole_in_the_grid_is_no_place_to_interpolate_over(fields):
     farther_east = fields.assign_coords(longitude=[11.0, 11.5, 12.0])
     with_hole = xarray.concat([fields, farther_east], "longitude")
     with refused_with("MODEL-AREA", "75 km"):
-        refuse_place(with_hole, tmp_path, 47.3, 10.0)
+        refuse_place(with_hole, 47.3, 10.0)
 
 
 def counts_of(notes) -> dict[str, int]:
     return {note.code: note.count for note in notes}
 
 
-def test_levels_with_missing_values_and_under_the_ground_are_left_out_and_counted(fields, tmp_path):
+def test_levels_with_missing_values_and_under_the_ground_are_left_out_and_counted(fields):
     holes = fields.copy(deep=True)
     holes.t[:, 8, 0, 1] = np.nan
-    levels, notes = column_of(holes, tmp_path, ground_h_m=1000.0)
+    levels, notes = column_of(holes, ground_h_m=1000.0)
     assert counts_of(notes) == {"MODEL-MISSING": 1, "MODEL-UNDERGROUND": 4}
     assert not np.isclose(levels.pressure_pa, 80_000.0).any()
 
 
-def test_a_column_ends_where_all_levels_above_are_missing(fields, tmp_path):
+def test_a_column_ends_where_all_levels_above_are_missing(fields):
     low = fields.copy(deep=True)
     low.z[:, 12:] = np.nan  # from 650 hPa up
-    levels, notes = column_of(low, tmp_path, ground_h_m=1000.0)
+    levels, notes = column_of(low, ground_h_m=1000.0)
     assert counts_of(notes)["MODEL-MISSING"] == fields.pressure_level.size - 12
     assert levels.h_m[-1] < 4000.0
     low.t[:, 4:, 0, 1] = np.nan
     with refused_with("MODEL-LEVELS", "0 levels above the ground"):
-        column_of(low, tmp_path, ground_h_m=1000.0)
+        column_of(low, ground_h_m=1000.0)
 
 
 @pytest.mark.parametrize(
@@ -603,24 +608,24 @@ def test_a_column_ends_where_all_levels_above_are_missing(fields, tmp_path):
         (350, -30.0),
     ],
 )
-def test_a_single_wrong_level_is_refused_with_its_number(fields, tmp_path, hpa, kelvin):
+def test_a_single_wrong_level_is_refused_with_its_number(fields, hpa, kelvin):
     wrong = with_wrong_level(fields, "pressure_level", hpa, kelvin)
     with refused_with("MODEL-LEVELS", f"K on {hpa} hPa.*this does not occur in air"):
-        read(netcdf(tmp_path / "wrong.nc", wrong))
+        read(as_netcdf(wrong))
 
 
-def test_a_layer_that_is_not_as_thick_as_its_air_is_told_of(fields, tmp_path):
+def test_a_layer_that_is_not_as_thick_as_its_air_is_told_of(fields):
     """A cold lowest level could be an inversion; its height says that it is none."""
     cold = with_wrong_level(fields, "pressure_level", 1000.0, -28.0)
-    levels, (layer,) = column_of(cold, tmp_path, ground_h_m=50.0)
+    levels, (layer,) = column_of(cold, ground_h_m=50.0)
     assert layer.code == "MODEL-LAYER"
     assert "between 1000 and 975 hPa" in layer.what
     assert levels.pressure_pa[0] > 99_000.0
 
 
-def test_below_the_lowest_level_sigma_grows(fields, tmp_path):
+def test_below_the_lowest_level_sigma_grows(fields):
     high = fields.isel(pressure_level=slice(9, None))
-    levels, (extended,) = column_of(high, tmp_path)
+    levels, (extended,) = column_of(high)
     assert extended.code == "MODEL-EXTENDED"
     assert levels.h_m[0] == pytest.approx(450.0)
     lowest_m = np.interp(77_500.0, PRESSURE[::-1], H[::-1])
@@ -634,11 +639,11 @@ def test_below_the_lowest_level_sigma_grows(fields, tmp_path):
 
 
 @pytest.mark.parametrize("ground_m", [None, 600.0, np.nan])
-def test_a_ground_that_nobody_knows_is_the_models(fields, tmp_path, ground_m):
+def test_a_ground_that_nobody_knows_is_the_models(fields, ground_m):
     if ground_m is not None:
         ground = fields.z[:, 0] * 0.0 + ground_m
         fields = fields.assign(orog=ground.assign_attrs(units="m"))
-    _, notes = column_of(fields, tmp_path, ground_h_m=float("nan"))
+    _, notes = column_of(fields, ground_h_m=float("nan"))
     (entry,) = with_code(notes, "MODEL-GROUND")
     assert ("600 m" in entry.what) == (ground_m == 600.0)
 

@@ -31,7 +31,7 @@ def test_the_centre_of_the_first_pixel_is_half_a_half(origin, centre):
 )
 @pytest.mark.parametrize(("origin", "half_px"), [("corner", 0.0), ("centre", 0.5)])
 def test_a_batch_is_in_colmap_s_pixels_and_its_results_in_the_user_s(
-    tmp_path, columns, result, origin, half_px
+    columns, result, origin, half_px
 ):
     x_px = np.array(X_PX)
     y_px = np.array(Y_PX)
@@ -42,7 +42,7 @@ def test_a_batch_is_in_colmap_s_pixels_and_its_results_in_the_user_s(
         "x_px": x_px,
         "y_px": y_px,
     }
-    observations = opened(tmp_path, pa.table(content), pixels=PixelSystem(origin))
+    observations = opened(pa.table(content), pixels=PixelSystem(origin))
 
     (batch,) = observations.batches(10)
 

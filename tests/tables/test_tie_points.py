@@ -14,8 +14,8 @@ from unbend.tables.tie_points import TiePoints, draw_tie_points
 HEAD = "image,point,x_px,y_px\n"
 
 
-def drawn(folder, content, most: int = 50, **options) -> TiePoints:
-    observations = opened(folder, content, **options)
+def drawn(content, most: int = 50, **options) -> TiePoints:
+    observations = opened(content, **options)
     return draw_tie_points(observations, most)
 
 
@@ -33,7 +33,7 @@ def strip(images: int, points: int) -> pa.Table:
     return pa.table(columns)
 
 
-def test_points_of_one_image_and_unusable_rows_are_left_out(tmp_path):
+def test_points_of_one_image_and_unusable_rows_are_left_out():
     text = (
         "a,1,10,20\nb,1,11,21\n"  # a tie point
         "a,2,10,20\na,2,10,20\n"  # twice in one image
@@ -42,7 +42,7 @@ def test_points_of_one_image_and_unusable_rows_are_left_out(tmp_path):
         "b,5,1,2\nc,5,3,4\n"
     )
 
-    ties = drawn(tmp_path, HEAD + text)
+    ties = drawn(HEAD + text)
 
     names = np.array(ties.images)[ties.image]
     rays = zip(names, ties.x_px, ties.y_px, strict=True)
@@ -56,10 +56,10 @@ def test_points_of_one_image_and_unusable_rows_are_left_out(tmp_path):
     assert ties.repeated == ("2 in a",)
 
 
-def test_every_image_has_some_of_the_few_that_are_drawn(tmp_path):
+def test_every_image_has_some_of_the_few_that_are_drawn():
     table = strip(60, 3000)
 
-    ties = drawn(tmp_path, table, most=80)
+    ties = drawn(table, most=80)
 
     rays_of_point = np.bincount(ties.point)
     assert rays_of_point.tolist() == [3] * 80
@@ -67,35 +67,35 @@ def test_every_image_has_some_of_the_few_that_are_drawn(tmp_path):
 
     rng = np.random.default_rng(1)
     shuffled = table.take(rng.permutation(table.num_rows))
-    of_shuffled_rows = drawn(tmp_path, shuffled, most=80)
+    of_shuffled_rows = drawn(shuffled, most=80)
     assert_array_equal(ties.y_px, of_shuffled_rows.y_px)
     assert_array_equal(ties.image, of_shuffled_rows.image)
 
 
-def test_rays_of_one_point_are_limited(tmp_path):
+def test_rays_of_one_point_are_limited():
     rows = []
     for point in "ab":
         for image in range(50):
             rows.append(f"i{image},{point},1,1\n")
     text = HEAD + "".join(rows)
 
-    ties = drawn(tmp_path, text)
+    ties = drawn(text)
 
     assert np.bincount(ties.point).tolist() == [4, 4]
     images_of_a = ties.image[ties.point == 0]
     assert np.unique(images_of_a).size == 4
 
 
-def test_a_table_without_tie_points(tmp_path):
+def test_a_table_without_tie_points():
     ray_of_each_point = strip(5, 4)[::3]
-    assert drawn(tmp_path, ray_of_each_point).image.size == 0
+    assert drawn(ray_of_each_point).image.size == 0
 
 
-def test_a_large_table_is_thinned_by_points_and_not_by_rows(tmp_path):
+def test_a_large_table_is_thinned_by_points_and_not_by_rows():
     """Of 600,000 rows those of a third of the points."""
     table = strip(60, 200_000)
 
-    ties = drawn(tmp_path, table, most=200_000)
+    ties = drawn(table, most=200_000)
 
     rays_of_point = np.bincount(ties.point)
     assert (rays_of_point == 3).all()
@@ -109,6 +109,6 @@ def test_a_large_table_is_thinned_by_points_and_not_by_rows(tmp_path):
         ("centre", 10.5),
     ],
 )
-def test_pixels_are_colmaps(tmp_path, origin, first):
-    ties = drawn(tmp_path, strip(5, 9), pixels=PixelSystem(origin))
+def test_pixels_are_colmaps(origin, first):
+    ties = drawn(strip(5, 9), pixels=PixelSystem(origin))
     assert ties.x_px.min() == first

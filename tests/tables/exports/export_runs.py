@@ -26,6 +26,7 @@ from unbend.tables.pixels import PixelSystem
 AIR = standard_atmosphere("us1976")
 DOWN = np.diag([1.0, -1.0, -1.0])
 """From east, north, up to a camera that looks down with north above; or photogrammetry's axes."""
+HERE = Path()
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 
 
@@ -149,11 +150,11 @@ def read_table(path: Path) -> pd.DataFrame:
     return read_csv(path, convert_options=options).to_pandas()
 
 
-def write_export(run: FinishedRun, name: str, folder: Path, **values: object) -> Written:
+def write_export(run: FinishedRun, name: str, folder: Path = HERE, **values: object) -> Written:
     """Write a format under a name that is new in the folder."""
     form = FORMATS[name]
     number = len(list(folder.iterdir()))
-    path = folder / f"out{number}{form.ending}"
+    path = folder.absolute() / f"out{number}{form.ending}"
     if not form.ending:
         path.mkdir()
     ledger = Ledger()

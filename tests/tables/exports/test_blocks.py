@@ -137,11 +137,11 @@ def test_a_model_says_what_it_holds(block, written):
         ),
     ],
 )
-def test_colmap_projects_as_the_camera_does(block, tmp_path, distortion, model):
+def test_colmap_projects_as_the_camera_does(block, distortion, model):
     camera = replace(SIDE, distortion=distortion)
     run = block.with_side_camera(camera)
 
-    colmap = write_export(run, "colmap", tmp_path)
+    colmap = write_export(run, "colmap")
 
     read = pycolmap.Reconstruction(colmap.path).cameras[2]
     assert read.model.name == model
@@ -197,15 +197,15 @@ FISHEYE = OpenCVFisheye(0.01, 0.0, 0.0, 0.0)
         ),
     ],
 )
-def test_lenses_that_a_format_cannot_hold(square, tmp_path, name, change, words):
+def test_lenses_that_a_format_cannot_hold(square, name, change, words):
     camera = replace(SIDE, **change)
     run = square.with_side_camera(camera)
 
     with refused_with("EXPORT-DISTORTION", rf"camera side \(with {words}"):
-        write_export(run, name, tmp_path)
+        write_export(run, name)
 
     # Without distortion there is a way.
-    assert write_export(run, "bundler", tmp_path).count > 100
+    assert write_export(run, "bundler").count > 100
 
 
 def opened_database(written: Written):
@@ -311,21 +311,21 @@ def test_a_database_without_a_table_of_matches_is_refused(block, tmp_path, missi
     run = block.run(keypoints_of(block.rows), database=lambda: source)
 
     with refused("IMPORT-FORMAT") as refusal:
-        write_export(run, "colmap-database", tmp_path)
+        write_export(run, "colmap-database")
     assert refusal.value.where == str(source)
     assert f"no such table: {missing}" in refusal.value.what
 
 
-def test_without_ties_a_database_says_so(block, tmp_path):
+def test_without_ties_a_database_says_so(block):
     run = block.run(keypoints_of(block.rows))
-    exported = write_export(run, "colmap-database", tmp_path)
+    exported = write_export(run, "colmap-database")
     assert exported.message("EXPORT-NO-TIES").kind == "loss"
 
 
-def test_priors_without_a_sigma_have_no_covariance(block, tmp_path):
+def test_priors_without_a_sigma_have_no_covariance(block):
     run = block.with_stations(sigma_height_m=NAN_OF_IMAGES)
 
-    exported = write_export(run, "colmap-database", tmp_path)
+    exported = write_export(run, "colmap-database")
 
     assert ("fallback", "EXPORT-NO-SIGMA", IMAGES) in exported.counts
     with opened_database(exported) as database:
@@ -334,12 +334,12 @@ def test_priors_without_a_sigma_have_no_covariance(block, tmp_path):
     assert not prior.has_position_cov()
 
 
-def test_keypoints_far_from_the_corner_are_rounded(block, written, tmp_path):
+def test_keypoints_far_from_the_corner_are_rounded(block, written):
     far = block.rows.assign(x_px=block.rows.x_px + 50000.0)
     camera = replace(SIDE, width_px=60000, cx_px=55000.0)
     run = block.with_side_camera(camera, far)
 
-    exported = write_export(run, "colmap-database", tmp_path)
+    exported = write_export(run, "colmap-database")
 
     assert exported.message("EXPORT-ROUNDED").kind == "warning"
     ledger = written("colmap-database").ledger
@@ -461,13 +461,12 @@ def read_bingo(path: Path) -> pd.DataFrame:
     return table.astype({"x": float, "y": float})
 
 
-def test_bingo_counts_millimetres_from_the_centre(block, tmp_path):
+def test_bingo_counts_millimetres_from_the_centre(block):
     expected = block.ordered
 
     exported = write_export(
         block.run(),
         "bingo",
-        tmp_path,
         pixel_um=4.0,
     )
     table = read_bingo(exported.path / "image.dat")
@@ -491,12 +490,12 @@ def test_bingo_counts_millimetres_from_the_centre(block, tmp_path):
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3])
-def test_quarter_turns_of_bingo_turn_counter_clockwise(block, tmp_path, turns):
+def test_quarter_turns_of_bingo_turn_counter_clockwise(block, turns):
     """The axes turn, by hand: what was to the right is below after one."""
     tables = []
     for quarter_turns in (0, turns):
         options = {"pixel_um": 4.0, "quarter_turns": quarter_turns}
-        exported = write_export(block.run(), "bingo", tmp_path, **options)
+        exported = write_export(block.run(), "bingo", **options)
         tables.append(read_bingo(exported.path / "image.dat"))
 
     upright, turned = tables
@@ -510,23 +509,23 @@ def test_quarter_turns_of_bingo_turn_counter_clockwise(block, tmp_path, turns):
     assert_array_equal((turned.x, turned.y), expected[turns])
 
 
-def test_the_size_of_pixels_must_be_known(block, tmp_path):
+def test_the_size_of_pixels_must_be_known(block):
     cameras = {
         "nadir": ExportCamera(NADIR, False, pixel_mm=0.005),
         "side": ExportCamera(SIDE, False),
     }
     with refused_with("EXPORT-OPTION", "camera side"):
-        write_export(block.run(cameras=cameras), "bingo", tmp_path)
+        write_export(block.run(cameras=cameras), "bingo")
 
 
-def test_the_size_of_pixels_is_that_of_the_camera(block, tmp_path):
+def test_the_size_of_pixels_is_that_of_the_camera(block):
     cameras = {
         "nadir": ExportCamera(NADIR, False, pixel_mm=0.005),
         "side": ExportCamera(SIDE, False, pixel_mm=0.006),
     }
     image_of_side = block.image[1]
 
-    exported = write_export(block.run(cameras=cameras), "bingo", tmp_path)
+    exported = write_export(block.run(cameras=cameras), "bingo")
 
     table = read_bingo(exported.path / "image.dat")
     x = table.x[table.image == image_of_side[-15:]]
@@ -556,12 +555,12 @@ def test_names_that_become_the_same_in_bingo_are_refused():
         ("pix4d", "0.jpg"),
     ],
 )
-def test_names_that_files_cannot_tell_apart_are_refused(block, tmp_path, name, image):
+def test_names_that_files_cannot_tell_apart_are_refused(block, name, image):
     """By blanks in columns, or Pix4D's by two images that differ in their ending."""
     names = [f"{number}.tif" for number in range(IMAGES)]
     names[2] = image
     with refused("EXPORT-NAMES"):
-        write_export(block.renamed(names), name, tmp_path)
+        write_export(block.renamed(names), name)
 
 
 def test_endings_of_files_and_folders():
@@ -577,7 +576,7 @@ def test_endings_of_files_and_folders():
 
 
 @pytest.mark.parametrize("name", ["colmap", "bundler"])
-def test_what_is_not_ok_is_left_out_and_counted(block, tmp_path, name):
+def test_what_is_not_ok_is_left_out_and_counted(block, name):
     rows = block.rows.assign(status="ok")
     rows.loc[:6, "status"] = "beyond_grazing"
     rows.loc[7:8, "point"] = None
@@ -587,7 +586,7 @@ def test_what_is_not_ok_is_left_out_and_counted(block, tmp_path, name):
     status[4] = "in_gap"
     run = block.with_stations(rows, status=status)
 
-    exported = write_export(run, name, tmp_path)
+    exported = write_export(run, name)
 
     in_gap = rows.image[9:] == block.image[4]
     left_out = 7 + 2 + 1 + in_gap.sum()
@@ -608,13 +607,13 @@ def test_what_is_not_ok_is_left_out_and_counted(block, tmp_path, name):
             assert (1.0, 2.0) not in pixels, "the second measurement of a point"
 
 
-def test_points_that_cannot_be_undistorted_are_a_loss(block, tmp_path):
+def test_points_that_cannot_be_undistorted_are_a_loss(block):
     """The distortion turns back within the image; what is beyond has no ideal coordinates."""
     turning = replace(NADIR, distortion=BrownConrady(k1=-4.0))
     camera = ExportCamera(turning, False)
     run = block.run(cameras=dict.fromkeys(block.cameras, camera))
 
-    exported = write_export(run, "bundler", tmp_path)
+    exported = write_export(run, "bundler")
 
     beyond = exported.message("EXPORT-LEFT-OUT").count
     singles = exported.message("EXPORT-SINGLE").count
@@ -622,18 +621,18 @@ def test_points_that_cannot_be_undistorted_are_a_loss(block, tmp_path):
     assert 0 < beyond < len(block.rows)
 
 
-def test_a_run_without_places_and_a_camera_without_calibration(block, tmp_path):
+def test_a_run_without_places_and_a_camera_without_calibration(block):
     without_heights = block.with_stations(h_ellipsoid_m=NAN_OF_IMAGES)
     with refused("EXPORT-NO-STATIONS"):
-        write_export(without_heights, "bingo", tmp_path)
+        write_export(without_heights, "bingo")
 
     nadir = ExportCamera(NADIR, False)
     only_nadir = block.run(cameras={"nadir": nadir})
     with refused_with("EXPORT-CAMERA", "'side'"):
-        write_export(only_nadir, "bingo", tmp_path)
+        write_export(only_nadir, "bingo")
 
 
-def test_points_whose_rays_do_not_meet_lie_on_the_ground(block, tmp_path):
+def test_points_whose_rays_do_not_meet_lie_on_the_ground(block):
     """Two images of one place: the point is where its ray reaches the height that was taken."""
     rows = block.of_image(block.image[0])
     twin = rows.assign(image="twin")
@@ -641,7 +640,7 @@ def test_points_whose_rays_do_not_meet_lie_on_the_ground(block, tmp_path):
     stations = run.stations.rows(np.array([0, 0]))
     stations.image[1] = "twin"
 
-    exported = write_export(replace(run, stations=stations), "colmap", tmp_path)
+    exported = write_export(replace(run, stations=stations), "colmap")
 
     assert ("fallback", "EXPORT-POINT-HEIGHT", len(rows)) in exported.counts
     points = pycolmap.Reconstruction(exported.path).points3D

@@ -46,12 +46,12 @@ def heights_in_file(places: np.ndarray, frame: Frame, program: str) -> np.ndarra
 
 
 @pytest.mark.parametrize("program", FORMATS)
-def test_image_points_come_back(square, tmp_path, program):
+def test_image_points_come_back(square, program):
     expected = square.rows.sort_values(["image", "x_px"])
     if program == "blocksexchange":
         expected = expected[expected.point.isin(square.tied)]
 
-    path = write_export(square.run(), program, tmp_path).path
+    path = write_export(square.run(), program).path
     rows = pa.Table.from_batches(block_rows(path, program)).to_pandas()
 
     rows = rows.sort_values(["image", "x_px"])
@@ -63,8 +63,8 @@ def test_image_points_come_back(square, tmp_path, program):
 
 
 @pytest.mark.parametrize("program", FORMATS)
-def test_images_come_back(square, tmp_path, program):
-    written = write_export(square.run(), program, tmp_path)
+def test_images_come_back(square, program):
+    written = write_export(square.run(), program)
 
     images = read_block_images(written.path, program)
 
@@ -81,8 +81,8 @@ def test_images_come_back(square, tmp_path, program):
 
 
 @pytest.mark.parametrize("program", ["opensfm", "blocksexchange"])
-def test_object_points_come_back(square, tmp_path, program):
-    written = write_export(square.run(), program, tmp_path)
+def test_object_points_come_back(square, program):
+    written = write_export(square.run(), program)
 
     points, positions = read_block_points(written.path, program)
 
@@ -118,20 +118,20 @@ def test_object_points_come_back(square, tmp_path, program):
         ),
     ],
 )
-def test_cameras_come_back(square, tmp_path, program, file, names):
+def test_cameras_come_back(square, program, file, names):
     u = np.array([0.1, -0.2, 0.3])
     v = np.array([0.2, 0.1, -0.25])
 
-    path = write_export(square.run(), program, tmp_path).path / file
+    path = write_export(square.run(), program).path / file
 
     for name, expected in zip(names, (SQUARE, SIDE), strict=True):
         camera = read_camera(path, program, name)
         assert_within(camera.project(u, v), distorted(expected, u, v), 1e-8)
 
 
-def test_angles_of_pix4d_are_those_of_the_textbook(square, tmp_path):
+def test_angles_of_pix4d_are_those_of_the_textbook(square):
     """In the file of X, Y, Z, omega, phi and kappa, which is not that of the matrices."""
-    written = write_export(square.run(), "pix4d", tmp_path)
+    written = write_export(square.run(), "pix4d")
 
     file = written.path / "unbend_calibrated_external_camera_parameters.txt"
     table = pd.read_csv(file, sep=" ")
@@ -145,8 +145,8 @@ def test_angles_of_pix4d_are_those_of_the_textbook(square, tmp_path):
     assert_within(photos, DOWN @ turns, 1e-9)
 
 
-def test_blocks_exchange_says_its_system_and_what_it_lacks(square, tmp_path):
-    written = write_export(square.run(), "blocksexchange", tmp_path)
+def test_blocks_exchange_says_its_system_and_what_it_lacks(square):
+    written = write_export(square.run(), "blocksexchange")
 
     root = ElementTree.parse(written.path).getroot()
     lat, lon, _ = frame_of(written).origin

@@ -90,9 +90,9 @@ def shift(focal_px, offset_px, profile, h_c_m):
 
 
 @pytest.fixture
-def lattice(run, tmp_path) -> pd.DataFrame:
+def lattice(run) -> pd.DataFrame:
     """Three nodes by three of each usable image."""
-    written = write_export(run, "lattice", tmp_path, columns=3, rows=3)
+    written = write_export(run, "lattice", columns=3, rows=3)
     assert written.counts == [("loss", "EXPORT-LEFT-OUT", 1)]
     assert "lattice: e" in written.message("EXPORT-LEFT-OUT").what
     return written.table()
@@ -131,8 +131,8 @@ def test_a_lattice_has_all_usable_images(lattice):
     assert (lattice.status == "ok").all()
 
 
-def test_the_default_lattice_and_its_metadata(run, tmp_path):
-    written = write_export(run, "lattice", tmp_path)
+def test_the_default_lattice_and_its_metadata(run):
+    written = write_export(run, "lattice")
 
     assert written.count == 4 * 21 * 15
     metadata = pq.read_schema(written.path).metadata
@@ -141,10 +141,10 @@ def test_the_default_lattice_and_its_metadata(run, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["lattice", "radial"])
-def test_csv_has_what_parquet_has(run, tmp_path, name):
+def test_csv_has_what_parquet_has(run, name):
     """Names with a comma too; numbers to their last bit, nothing for null."""
-    as_parquet = write_export(run, name, tmp_path)
-    as_csv = write_export(run, f"{name}-csv", tmp_path)
+    as_parquet = write_export(run, name)
+    as_csv = write_export(run, f"{name}-csv")
 
     assert [*as_parquet.ledger] == [*as_csv.ledger]
     pd.testing.assert_frame_equal(
@@ -155,12 +155,12 @@ def test_csv_has_what_parquet_has(run, tmp_path, name):
     )
 
 
-def test_images_without_ground_have_a_lattice_without_corrections(run, tmp_path):
+def test_images_without_ground_have_a_lattice_without_corrections(run):
     ground = np.full(5, GROUND)
     ground[[1, 3]] = np.nan
     blind = replace(run, find_ground=lambda _: ground)
 
-    written = write_export(blind, "lattice", tmp_path, columns=2, rows=2)
+    written = write_export(blind, "lattice", columns=2, rows=2)
 
     table = written.table()
     without = table[table.status == "no_ground"]
@@ -183,9 +183,9 @@ def effect_by_the_manual(h_km: float) -> float:
         (81 + 45, 1, 6000.0, 600.0),  # the mean of fx and fy
     ],
 )
-def test_a_radial_table_at_45_degrees(run, tmp_path, row, images, h_c_m, focal_px):
+def test_a_radial_table_at_45_degrees(run, row, images, h_c_m, focal_px):
     """Images within 2 % of height share a table, of the air of the middle one by time."""
-    table = write_export(run, "radial", tmp_path).table()
+    table = write_export(run, "radial").table()
 
     at_45 = table.iloc[row]
     # In order of time the nadir images are b, c, a: the middle one, c, has the second profile.
@@ -207,8 +207,8 @@ def test_a_radial_table_at_45_degrees(run, tmp_path, row, images, h_c_m, focal_p
     assert at_45.shift_ground_m == pytest.approx(shift_m, rel=3e-3)
 
 
-def test_radial_tables_by_camera_and_height(run, tmp_path):
-    written = write_export(run, "radial", tmp_path)
+def test_radial_tables_by_camera_and_height(run):
+    written = write_export(run, "radial")
 
     table = written.table()
     assert_array_equal(table.camera, np.repeat(["nadir", "side"], 81))
@@ -219,26 +219,26 @@ def test_radial_tables_by_camera_and_height(run, tmp_path):
     assert "side" in window.what
 
 
-def test_heights_apart_have_tables_of_their_own_the_lowest_first(run, tmp_path):
+def test_heights_apart_have_tables_of_their_own_the_lowest_first(run):
     """The middle of two images is the mean of their heights."""
     height_m = STATIONS.h_m.to_numpy().copy()
     height_m[0] = 4000.0
     exposures = replace(run.exposures, height_m=height_m)
     run = replace(run, exposures=exposures)
 
-    table = write_export(run, "radial", tmp_path).table()
+    table = write_export(run, "radial").table()
 
     heads = table[:162:81]
     assert heads.h_c_m.tolist() == [3005.0, 4000.0]
     assert heads.images.tolist() == [2, 1]
 
 
-def test_the_radius_of_a_radial_table_is_the_mean_one_of_the_latitude(run, tmp_path):
+def test_the_radius_of_a_radial_table_is_the_mean_one_of_the_latitude(run):
     """At 45 degrees of azimuth: 2 / (1/M + 1/N), with M and N by hand for WGS84 at 0.8 rad."""
     exposures = replace(run.exposures, radius_m=None)
     run = replace(run, exposures=exposures)
 
-    table = write_export(run, "radial", tmp_path).table()
+    table = write_export(run, "radial").table()
 
     w2 = 1.0 - 0.00669437999014 * math.sin(0.8) ** 2
     m = 6378137.0 * (1.0 - 0.00669437999014) / w2**1.5
@@ -248,13 +248,13 @@ def test_the_radius_of_a_radial_table_is_the_mean_one_of_the_latitude(run, tmp_p
     assert table.r_c_urad[80] == pytest.approx(r * 1e6, rel=1e-10)
 
 
-def test_images_below_ground_are_in_no_radial_table(run, tmp_path):
+def test_images_below_ground_are_in_no_radial_table(run):
     ground = np.full(5, GROUND)
     ground[1] = 3500.0
     ground[3] = np.nan
     buried = replace(run, find_ground=lambda _: ground)
 
-    written = write_export(buried, "radial", tmp_path)
+    written = write_export(buried, "radial")
 
     table = written.table()
     assert (table.camera == "nadir").all()

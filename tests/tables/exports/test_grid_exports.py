@@ -142,8 +142,8 @@ def in_grid(run: FinishedRun, crs: str, name: str) -> FinishedRun:
     return replace(run, grid=grid)
 
 
-def written_in_grid(run: FinishedRun, crs: str, name: str, folder: Path) -> Written:
-    return write_export(in_grid(run, crs, name), name, folder)
+def written_in_grid(run: FinishedRun, crs: str, name: str) -> Written:
+    return write_export(in_grid(run, crs, name), name)
 
 
 def to_grid(crs: str, lon, lat) -> np.ndarray:
@@ -164,12 +164,12 @@ def to_grid(crs: str, lon, lat) -> np.ndarray:
         "EPSG:27572",
     ],
 )
-def test_angles_count_from_the_axes_of_the_grid(block, crs, tmp_path):
+def test_angles_count_from_the_axes_of_the_grid(block, crs):
     """East and north, by hand, are turned by the convergence against those of the grid.
 
     It has both signs; the last counts longitudes from Paris.
     """
-    table = written_in_grid(block, crs, "opk", tmp_path).table()
+    table = written_in_grid(block, crs, "opk").table()
 
     assert_allclose(table[["x_m", "y_m"]], to_grid(crs, LON, LAT))
     assert_allclose(table.z_m, H_ELLIPSOID)
@@ -180,8 +180,8 @@ def test_angles_count_from_the_axes_of_the_grid(block, crs, tmp_path):
         assert_within(rotation_to_photo(row), expected, 1e-9)
 
 
-def test_convergence_and_scale_stand_in_the_file(block, tmp_path):
-    written = written_in_grid(block, "EPSG:25832+5773", "opk", tmp_path)
+def test_convergence_and_scale_stand_in_the_file(block):
+    written = written_in_grid(block, "EPSG:25832+5773", "opk")
 
     table = written.table()
     factors = pyproj.Proj("EPSG:25832").get_factors(LON, LAT)
@@ -254,8 +254,8 @@ def test_a_station_that_the_grid_does_not_reach_is_not_in_its_frame(block):
 # ---------------------------------------------------------------- points and layers
 
 
-def test_points_on_the_ground_with_their_shift(block, tmp_path):
-    written = written_in_grid(block, "EPSG:25832", "points", tmp_path)
+def test_points_on_the_ground_with_their_shift(block):
+    written = written_in_grid(block, "EPSG:25832", "points")
 
     table = written.table()
     assert written.counts == [("loss", "EXPORT-LEFT-OUT", 1)]
@@ -271,20 +271,20 @@ def test_points_on_the_ground_with_their_shift(block, tmp_path):
     assert_within(table[["dx_px", "dy_px"]], CORRECTED_PX - MEASURED_PX, 1e-9)
 
 
-def test_points_in_degrees_have_the_shift_to_the_east_and_north(block, tmp_path):
-    table = written_in_grid(block, "EPSG:4326", "points", tmp_path).table()
+def test_points_in_degrees_have_the_shift_to_the_east_and_north(block):
+    table = written_in_grid(block, "EPSG:4326", "points").table()
     assert_within(table[["lon_deg", "lat_deg"]].T, PLACES, 2e-7)
     assert_within(table[["shift_x_m", "shift_y_m"]], SHIFT_EN, 1e-3)
 
 
-def test_the_scale_of_a_grid_is_not_in_the_shift(block, tmp_path):
+def test_the_scale_of_a_grid_is_not_in_the_shift(block):
     """Web Mercator is half as long again at 47 degrees."""
-    table = written_in_grid(block, "EPSG:3857", "points", tmp_path).table()
+    table = written_in_grid(block, "EPSG:3857", "points").table()
     assert_allclose(table.shift_m, SHIFT_M, rtol=1e-3)
 
 
-def test_a_geopackage_read_by_gdal(block, tmp_path):
-    written = written_in_grid(block, "EPSG:25832+5773", "geopackage", tmp_path)
+def test_a_geopackage_read_by_gdal(block):
+    written = written_in_grid(block, "EPSG:25832+5773", "geopackage")
 
     stations = geopandas.read_file(written.path, layer="stations")
     grounds = geopandas.read_file(written.path, layer="footprints")
@@ -321,9 +321,9 @@ QUERY_OF_QGIS = (
 """Of its provider, for the style of a layer."""
 
 
-def test_the_styles_are_those_that_qgis_takes_by_itself(block, tmp_path):
+def test_the_styles_are_those_that_qgis_takes_by_itself(block):
     """Arrows by the columns of the shift, 95 % up to 8 mm."""
-    written = written_in_grid(block, "EPSG:25832", "geopackage", tmp_path)
+    written = written_in_grid(block, "EPSG:25832", "geopackage")
 
     styles = {}
     with closing(sqlite3.connect(written.path)) as database:
@@ -348,9 +348,9 @@ def test_the_styles_are_those_that_qgis_takes_by_itself(block, tmp_path):
     assert float(settings["scale"]) == pytest.approx(8.0 / longest_m, rel=1e-3)
 
 
-def test_a_run_without_corrected_points_has_empty_layers(block, tmp_path):
+def test_a_run_without_corrected_points_has_empty_layers(block):
     without_points = replace(block, parts=())
-    written = written_in_grid(without_points, "EPSG:25832", "geopackage", tmp_path)
+    written = written_in_grid(without_points, "EPSG:25832", "geopackage")
     assert written.count == 6
     assert len(geopandas.read_file(written.path, layer="points")) == 0
 
@@ -379,8 +379,8 @@ def test_every_format_states_its_frame(block, name):
         assert record["angles"]["turns"] in {"camera to frame", "frame to camera"}
 
 
-def test_the_origin_of_a_block_is_that_of_its_file(block, tmp_path):
-    table = write_export(block, "opk-enu", tmp_path).table()
+def test_the_origin_of_a_block_is_that_of_its_file(block):
+    table = write_export(block, "opk-enu").table()
     row = table.iloc[0]
     origin = FORMATS["opk-enu"].frame(block, {}).positions.origin
     assert origin.latitude_deg == row.origin_lat_deg

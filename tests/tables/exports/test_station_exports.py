@@ -132,8 +132,8 @@ LOSSES = [
 ]
 
 
-def test_geojson_read_by_gdal(run, tmp_path):
-    written = write_export(run, "geojson", tmp_path)
+def test_geojson_read_by_gdal(run):
+    written = write_export(run, "geojson")
 
     features = geopandas.read_file(written.path)
     stations = features[features["kind"] == "station"]
@@ -156,14 +156,14 @@ def test_geojson_read_by_gdal(run, tmp_path):
     assert first["properties"]["time_utc"] == "2025-06-12T09:00:00.500000000Z"
 
 
-def test_heights_that_are_not_known(run, tmp_path):
+def test_heights_that_are_not_known(run):
     """Without the ellipsoid no third coordinate; without ground no footprint, and a loss."""
     unknown = np.full(COUNT, np.nan)
     stations = replace(run.stations, h_ellipsoid_m=unknown)
     flat = replace(run, stations=stations, find_ground=lambda _: unknown)
 
-    written = write_export(flat, "geojson", tmp_path)
-    angles = write_export(flat, "opk", tmp_path)
+    written = write_export(flat, "geojson")
+    angles = write_export(flat, "opk")
 
     text = written.path.read_text()
     first = json.loads(text)["features"][0]
@@ -175,9 +175,9 @@ def test_heights_that_are_not_known(run, tmp_path):
     assert angles.counts == [("loss", "EXPORT-LEFT-OUT", COUNT)]
 
 
-def test_kml_read_by_gdal(run, tmp_path):
+def test_kml_read_by_gdal(run):
     """Heights of KML count from the sea; names survive, control characters do not."""
-    written = write_export(run, "kml", tmp_path)
+    written = write_export(run, "kml")
 
     stations = geopandas.read_file(written.path, layer="stations")
     grounds = geopandas.read_file(written.path, layer="footprints")
@@ -202,8 +202,8 @@ def rotations_to_photos(table) -> list[np.ndarray]:
     return [rotation_to_photo(row) for _, row in table.iterrows()]
 
 
-def test_angles_against_the_horizon_of_each_station(run, tmp_path):
-    written = write_export(run, "opk", tmp_path)
+def test_angles_against_the_horizon_of_each_station(run):
+    written = write_export(run, "opk")
 
     table = written.table()
     assert table.image.tolist() == NAMES_OF_OK, "no suspect one"
@@ -221,11 +221,11 @@ def test_angles_against_the_horizon_of_each_station(run, tmp_path):
     assert written.counts == [("loss", "EXPORT-LEFT-OUT", 2)]
 
 
-def test_a_suspect_station_that_is_used_is_marked(run, tmp_path):
+def test_a_suspect_station_that_is_used_is_marked(run):
     accepted = np.array(run.stations.status == "suspect")
     stations = replace(run.stations, accepted=accepted)
 
-    written = write_export(replace(run, stations=stations), "opk", tmp_path)
+    written = write_export(replace(run, stations=stations), "opk")
 
     assert written.table().status.tolist() == STATUS[:4]
 
@@ -268,9 +268,9 @@ def test_the_origin_is_the_middle(lat, lon, h, origin):
     assert_within(middle, origin, 1e-9)
 
 
-def test_positions_and_angles_in_one_frame(block, tmp_path):
+def test_positions_and_angles_in_one_frame(block):
     """Against PROJ's topocentric coordinates, turned by hand."""
-    table = write_export(block.run(), "opk-enu", tmp_path).table()
+    table = write_export(block.run(), "opk-enu").table()
 
     origin = table.loc[0, ["origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"]]
     frame = Frame(origin)
@@ -281,9 +281,9 @@ def test_positions_and_angles_in_one_frame(block, tmp_path):
     assert_within(rotations_to_photos(table), DOWN @ turns, 1e-8)
 
 
-def test_exported_orientations_are_read_again(run, tmp_path):
+def test_exported_orientations_are_read_again(run):
     """By the names of their columns, with the columns of camera and time."""
-    path = write_export(run, "opk", tmp_path).path
+    path = write_export(run, "opk").path
     names = ("image", "latitude", "longitude", "height", "omega", "phi", "kappa")
     stated = Stated(
         columns=dict(zip(names, names, strict=True)),

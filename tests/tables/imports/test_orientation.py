@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -25,8 +27,8 @@ HEAD = "image,lat,lon,h,o,p,k\n"
 ROW = "a,47.5,8.5,3000.5,1.0,-2.0,90.0\n"
 
 
-def read(tmp_path, text: str, names=NAMES, unit: str = "deg"):
-    path = tmp_path / "block.csv"
+def read(text: str, names=NAMES, unit: str = "deg"):
+    path = Path("block.csv")
     path.write_text(text, encoding="utf-8")
     stated = Stated(columns=names, angle_unit=unit)
     ledger = Ledger()
@@ -34,9 +36,9 @@ def read(tmp_path, text: str, names=NAMES, unit: str = "deg"):
     return table, tuple(ledger)
 
 
-def refusal(tmp_path, text: str, code: str, **options) -> UnbendError:
+def refusal(text: str, code: str, **options) -> UnbendError:
     with refused(code) as caught:
-        read(tmp_path, text, **options)
+        read(text, **options)
     assert "block.csv" in caught.value.where
     return caught.value
 
@@ -49,10 +51,10 @@ def refusal(tmp_path, text: str, code: str, **options) -> UnbendError:
         ("rad", "0.17453292520,0.34906585040,1.5707963268"),
     ],
 )
-def test_angles_in_each_unit_are_radians(tmp_path, unit, numbers):
+def test_angles_in_each_unit_are_radians(unit, numbers):
     text = f"{HEAD}a,47.5,8.5,3000.5,{numbers}\n"
 
-    table, notes = read(tmp_path, text, unit=unit)
+    table, notes = read(text, unit=unit)
 
     assert np.degrees(table.angles[0]) == pytest.approx([10.0, 20.0, 90.0], abs=1e-8)
     lat_rad, lon_rad, height_m = table.position[0]
@@ -64,7 +66,7 @@ def test_angles_in_each_unit_are_radians(tmp_path, unit, numbers):
     assert notes == ()
 
 
-def test_semicolons_the_camera_the_sigmas_and_the_time(tmp_path):
+def test_semicolons_the_camera_the_sigmas_and_the_time():
     names = NAMES | {
         "camera": "c",
         "time_utc": "t",
@@ -77,7 +79,7 @@ def test_semicolons_the_camera_the_sigmas_and_the_time(tmp_path):
         "b;47.5;8.5;3000;0;0;0;right;later;;\n"
     )
 
-    table, notes = read(tmp_path, text, names)
+    table, notes = read(text, names)
 
     assert table.camera.tolist() == ["left", "right"]
     assert table.time_ns.tolist() == [1_778_752_800_250_000_000, NO_TIME]
@@ -90,25 +92,25 @@ def test_semicolons_the_camera_the_sigmas_and_the_time(tmp_path):
     assert "line 3" in entry.what
 
 
-def test_gps_week_and_seconds(tmp_path):
+def test_gps_week_and_seconds():
     names = NAMES | {"gps_week": "w", "gps_seconds": "s"}
     text = f"{HEAD.strip()},w,s\n{ROW.strip()},2200,18.5\n"
 
-    table, _ = read(tmp_path, text, names)
+    table, _ = read(text, names)
 
     # 2022-03-06 00:00:00 of GPS is the start of week 2200, 18 s ahead of UTC.
     assert table.time_ns.tolist() == [1_646_524_800_500_000_000]
 
 
-def test_what_is_empty_is_unknown(tmp_path):
-    table, _ = read(tmp_path, HEAD + "a,,8.5,,,-2,90\n")
+def test_what_is_empty_is_unknown():
+    table, _ = read(HEAD + "a,,8.5,,,-2,90\n")
     assert np.isnan(table.position[0, [0, 2]]).all()
     assert np.isnan(table.angles[0, 0])
 
 
-def test_a_column_that_is_not_there(tmp_path):
+def test_a_column_that_is_not_there():
     text = HEAD.replace(",k", ",kap") + ROW
-    error = refusal(tmp_path, text, "ORIENTATION-COLUMN")
+    error = refusal(text, "ORIENTATION-COLUMN")
     assert "stations.orientation.columns.kappa" in error.remedy
 
 
@@ -124,10 +126,10 @@ def test_a_column_that_is_not_there(tmp_path):
         'image,lat,lon,h,o,p,k\na,"47°30\'0""N","8 deg 30\' 0"" E",3000.5,1,-2,90\n',
     ],
 )
-def test_every_form_of_a_table_is_the_same_table(tmp_path, text):
-    plain, _ = read(tmp_path, HEAD + ROW)
+def test_every_form_of_a_table_is_the_same_table(text):
+    plain, _ = read(HEAD + ROW)
 
-    table, entries = read(tmp_path, text)
+    table, entries = read(text)
 
     assert table.image.tolist() == ["a"]
     assert table.position == pytest.approx(plain.position)
@@ -135,39 +137,39 @@ def test_every_form_of_a_table_is_the_same_table(tmp_path, text):
     assert not entries
 
 
-def test_commas_that_may_be_thousands_are_refused(tmp_path):
+def test_commas_that_may_be_thousands_are_refused():
     text = HEAD + 'a,47.5,8.5,"3,000",1,-2,90\n'
-    error = refusal(tmp_path, text, "ORIENTATION-NUMBER")
+    error = refusal(text, "ORIENTATION-NUMBER")
     assert "'3,000'" in error.what
     assert error.where.endswith("line 2")
 
 
-def test_lines_are_counted_from_the_begin_of_the_file(tmp_path):
+def test_lines_are_counted_from_the_begin_of_the_file():
     head = "# Cameras\n\n# image, lat, lon, h, o, p, k\n"
     wrong = ROW.replace("1.0", "x")
 
-    repeated = refusal(tmp_path, head + ROW + wrong, "ORIENTATION-REPEATED")
+    repeated = refusal(head + ROW + wrong, "ORIENTATION-REPEATED")
     assert "4, 5" in repeated.what
 
     wrong = wrong.replace("a,", "b,")
-    no_number = refusal(tmp_path, head + ROW + wrong, "ORIENTATION-NUMBER")
+    no_number = refusal(head + ROW + wrong, "ORIENTATION-NUMBER")
     assert no_number.where.endswith("line 5")
 
 
-def test_columns_of_a_table_without_a_head_have_numbers(tmp_path):
+def test_columns_of_a_table_without_a_head_have_numbers():
     """As orthority takes it."""
     names = dict(zip(NAMES, "1324567", strict=True))
     text = "a 8.5 47.5 3000.5 1 -2 90\nb 8.6 47.5 3000.5 1 -2 90\n"
 
-    table, _ = read(tmp_path, text, names)
+    table, _ = read(text, names)
 
     assert table.image.tolist() == ["a", "b"]
     assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
-    error = refusal(tmp_path, "a 8.5 47.5 1\nb 8.6 47.5 2\n", "ORIENTATION-COLUMN")
+    error = refusal("a 8.5 47.5 1\nb 8.6 47.5 2\n", "ORIENTATION-COLUMN")
     assert "no header: its columns are named 1 to 4" in error.what
 
 
-def test_the_table_of_opendronemap_has_the_names_of_its_manual(tmp_path):
+def test_the_table_of_opendronemap_has_the_names_of_its_manual():
     names = ("image", "latitude", "longitude", "height", "roll", "pitch", "yaw")
     text = (
         "EPSG:4326\n"
@@ -175,15 +177,15 @@ def test_the_table_of_opendronemap_has_the_names_of_its_manual(tmp_path):
         "DJI_0032.JPG -91.98 46.84 198.6 45 -90 2\n"
     )
 
-    table, _ = read(tmp_path, text, dict(zip(names, names, strict=True)))
+    table, _ = read(text, dict(zip(names, names, strict=True)))
 
     assert np.degrees(table.position[0, :2]) == pytest.approx([46.84, -91.99])
     assert np.degrees(table.angles[0]) == pytest.approx([2, -90, 45])
 
 
-def test_a_table_without_rows_and_none_at_all(tmp_path):
-    refusal(tmp_path, HEAD, "ORIENTATION-EMPTY")
-    refusal(tmp_path, "", "ORIENTATION-CSV")
+def test_a_table_without_rows_and_none_at_all():
+    refusal(HEAD, "ORIENTATION-EMPTY")
+    refusal("", "ORIENTATION-CSV")
 
 
 @pytest.mark.parametrize(
@@ -194,26 +196,26 @@ def test_a_table_without_rows_and_none_at_all(tmp_path):
         ("5300.0", "deg", ""),
     ],
 )
-def test_angles_of_another_unit_and_columns_of_something_else(tmp_path, kappa, unit, words):
+def test_angles_of_another_unit_and_columns_of_something_else(kappa, unit, words):
     text = HEAD + ROW.replace("90.0", kappa)
-    error = refusal(tmp_path, text, "ORIENTATION-UNIT", unit=unit)
+    error = refusal(text, "ORIENTATION-UNIT", unit=unit)
     assert words in error.what
     assert ("is the unit" in error.what) == (words != "")
 
 
-def test_latitude_and_longitude_swapped(tmp_path):
+def test_latitude_and_longitude_swapped():
     text = HEAD + ROW.replace("47.5,8.5", "151.2,-33.9")
-    assert "longitude exchanged?" in refusal(tmp_path, text, "ORIENTATION-POSITION").what
+    assert "longitude exchanged?" in refusal(text, "ORIENTATION-POSITION").what
 
 
-def test_places_of_a_projection(tmp_path):
+def test_places_of_a_projection():
     text = HEAD + ROW.replace("47.5,8.5", "5262000.0,612000.0")
-    error = refusal(tmp_path, text, "ORIENTATION-POSITION")
+    error = refusal(text, "ORIENTATION-POSITION")
     assert "exchanged" not in error.what
     assert "projected" in error.remedy
 
 
-def test_quaternions_that_are_none(tmp_path):
+def test_quaternions_that_are_none():
     names = {
         "image": "i",
         "x": "x",
@@ -226,19 +228,19 @@ def test_quaternions_that_are_none(tmp_path):
     }
     head = "i,x,y,z,qw,qx,qy,qz\n"
 
-    table, _ = read(tmp_path, head + "a,1,2,3,0.0,0.6,0.8,0.0003\n", names)
+    table, _ = read(head + "a,1,2,3,0.0,0.6,0.8,0.0003\n", names)
 
     assert np.linalg.norm(table.angles[0]) == pytest.approx(1.0, abs=1e-15)
     assert table.position.tolist() == [[1.0, 2.0, 3.0]]
 
     text = head + "a,1,2,3,0,0.6,0.8,0\nb,1,2,3,0.5,0.6,0.8,0\n"
-    error = refusal(tmp_path, text, "ORIENTATION-QUATERNION", names=names)
+    error = refusal(text, "ORIENTATION-QUATERNION", names=names)
     assert error.where.endswith("line 3")
     assert "1.11803" in error.what
 
 
-def test_known_positions(tmp_path):
-    path = tmp_path / "known.csv"
+def test_known_positions():
+    path = Path("known.csv")
     path.write_text("name,b,l,h\nx,47.0,8.0,2500\n", encoding="utf-8")
     names = {
         "image": "name",
@@ -266,18 +268,18 @@ DEFAULTS = {name: name for name in NAMES}
 UNSTATED = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 
 
-def read_by_defaults(tmp_path, text: str, **options):
-    path = tmp_path / "own.csv"
+def read_by_defaults(text: str, **options):
+    path = Path("own.csv")
     path.write_text(text, encoding="utf-8")
     stated = Stated(columns=DEFAULTS, heights="ellipsoid", **options)
     ledger = Ledger()
     return read_orientation(path, stated, ledger), ledger
 
 
-def test_our_own_table_is_read_without_columns(tmp_path):
-    plain, _ = read(tmp_path, HEAD + ROW)
+def test_our_own_table_is_read_without_columns():
+    plain, _ = read(HEAD + ROW)
 
-    table, ledger = read_by_defaults(tmp_path, OWN_TABLE, unstated=UNSTATED)
+    table, ledger = read_by_defaults(OWN_TABLE, unstated=UNSTATED)
 
     assert table.position == pytest.approx(plain.position)
     assert table.angles == pytest.approx(plain.angles)
@@ -289,24 +291,24 @@ def test_our_own_table_is_read_without_columns(tmp_path):
     assert "latitude from lat_deg" in names.what
 
 
-def test_what_is_stated_is_not_taken_from_our_own_table(tmp_path):
-    table, _ = read_by_defaults(tmp_path, OWN_TABLE, unstated=("camera",))
+def test_what_is_stated_is_not_taken_from_our_own_table():
+    table, _ = read_by_defaults(OWN_TABLE, unstated=("camera",))
     assert table.time_ns.tolist() == [NO_TIME]
     assert table.sigmas == {}
 
 
-def test_our_own_table_of_stations_without_times_has_none(tmp_path):
+def test_our_own_table_of_stations_without_times_has_none():
     text = OWN_TABLE.replace("2026-05-01 08:20:30.5Z", "")
-    table, ledger = read_by_defaults(tmp_path, text, unstated=UNSTATED)
+    table, ledger = read_by_defaults(text, unstated=UNSTATED)
     assert table.time_ns.tolist() == [NO_TIME]
     assert {entry.code for entry in ledger} == {"ORIENTATION-NAMES"}
 
 
-def test_our_own_table_in_one_frame_says_its_origin(tmp_path):
+def test_our_own_table_in_one_frame_says_its_origin():
     names = ",x_m,y_m,z_m,origin_lat_deg,origin_lon_deg,origin_h_ellipsoid_m"
     text = f"{OWN}{names}\n{OWN_ROW},1,2,3,47.25,8.5,400\n"
 
-    table, _ = read_by_defaults(tmp_path, text)
+    table, _ = read_by_defaults(text)
 
     assert np.degrees(table.frame.lat_rad) == pytest.approx(47.25)
     assert np.degrees(table.frame.lon_rad) == pytest.approx(8.5)
@@ -314,9 +316,9 @@ def test_our_own_table_in_one_frame_says_its_origin(tmp_path):
 
 
 @pytest.mark.parametrize("column", ["camera", "status", *OWN.split(",")[-4:]])
-def test_a_table_that_lacks_one_of_our_columns_is_not_our_own(tmp_path, column):
+def test_a_table_that_lacks_one_of_our_columns_is_not_our_own(column):
     text = OWN_TABLE.replace(column, "other")
-    table, _ = read_by_defaults(tmp_path, text, unstated=("time_utc",))
+    table, _ = read_by_defaults(text, unstated=("time_utc",))
     assert table.time_ns.tolist() == [NO_TIME]
 
 
@@ -328,10 +330,10 @@ def test_a_table_that_lacks_one_of_our_columns_is_not_our_own(tmp_path, column):
         ("Label,lat_deg,lon_deg,height,omega_grad,phi_grad,kappa_grad", {"angle_unit": "grad"}),
     ],
 )
-def test_usual_names_of_other_programs(tmp_path, head, stated):
+def test_usual_names_of_other_programs(head, stated):
     text = f"{head}\na,47.5,8.5,3000.5,1,-2,90\n"
 
-    table, _ = read_by_defaults(tmp_path, text, **stated)
+    table, _ = read_by_defaults(text, **stated)
 
     assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
     assert table.image.tolist() == ["a"]
@@ -345,6 +347,6 @@ def test_usual_names_of_other_programs(tmp_path, head, stated):
         "image,lat,x,lon,height,omega_grad,phi,kappa",
     ],
 )
-def test_names_that_do_not_decide_are_refusal(tmp_path, head):
+def test_names_that_do_not_decide_are_refusal(head):
     with refused("ORIENTATION-COLUMN"):
-        read_by_defaults(tmp_path, f"{head}\na,47.5,47.5,8.5,3000.5,1,-2,90\n")
+        read_by_defaults(f"{head}\na,47.5,47.5,8.5,3000.5,1,-2,90\n")
