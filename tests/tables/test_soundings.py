@@ -34,7 +34,8 @@ VARIABLES = {
 }
 
 
-def write(path: Path, variables=VARIABLES) -> Path:
+def write(name: str, variables=VARIABLES) -> Path:
+    path = Path(name)
     with netcdf_file(path, "w") as file:
         file.createDimension("time", 6)
         base = file.createVariable("base_time", "i", ())
@@ -45,8 +46,8 @@ def write(path: Path, variables=VARIABLES) -> Path:
     return path
 
 
-def test_levels_release_and_place(tmp_path):
-    path = write(tmp_path / "sonde.cdf")
+def test_levels_release_and_place():
+    path = write("sonde.cdf")
 
     sounding = read_sounding(path, Ledger())
 
@@ -59,45 +60,46 @@ def test_levels_release_and_place(tmp_path):
     assert sounding.h_m[4] == pytest.approx(geometric, abs=1)
 
 
-def test_a_fill_value_is_no_reading(tmp_path):
+def test_a_fill_value_is_no_reading():
     filled = CELSIUS.copy()
     filled[3] = -9999.0
-    path = write(tmp_path / "filled.cdf", VARIABLES | {"tdry": filled})
+    path = write("filled.cdf", VARIABLES | {"tdry": filled})
 
     sounding = read_sounding(path, Ledger())
 
     assert np.nanmin(sounding.temperature_k) == pytest.approx(CELSIUS.min() + 273.15)
 
 
-def test_a_missing_variable_is_refused(tmp_path):
+def test_a_missing_variable_is_refused():
     variables = dict(VARIABLES)
     variables.pop("rh")
-    path = write(tmp_path / "without.cdf", variables)
+    path = write("without.cdf", variables)
     with pytest.raises(InputError, match="it has no variable rh"):
         read_sounding(path, Ledger())
 
 
-def zipped(path: Path, *members: Path) -> Path:
+def zipped(name: str, *members: Path) -> Path:
+    path = Path(name)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for member in members:
             archive.write(member, member.name)
     return path
 
 
-def test_a_station_file_as_it_is_distributed(tmp_path):
-    plain = write(tmp_path / "sonde.cdf")
-    archive = zipped(tmp_path / "sonde.zip", plain)
+def test_a_station_file_as_it_is_distributed():
+    plain = write("sonde.cdf")
+    archive = zipped("sonde.zip", plain)
 
     sounding = read_sounding(archive, Ledger())
 
     assert_array_equal(sounding.h_m, read_sounding(plain, Ledger()).h_m)
 
 
-def test_an_archive_that_does_not_hold_one_file_is_refused(tmp_path):
-    first = write(tmp_path / "sonde.cdf")
-    second = write(tmp_path / "other.cdf")
-    whole = zipped(tmp_path / "two.zip", first, second)
-    cut = tmp_path / "cut.zip"
+def test_an_archive_that_does_not_hold_one_file_is_refused():
+    first = write("sonde.cdf")
+    second = write("other.cdf")
+    whole = zipped("two.zip", first, second)
+    cut = Path("cut.zip")
     cut.write_bytes(whole.read_bytes()[:-40])
     for path in (whole, cut):
         with refused("SOUNDING-ZIP"):

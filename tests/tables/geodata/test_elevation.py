@@ -32,11 +32,11 @@ def opened(*paths, system=None):
     return model
 
 
-def test_blocks_of_a_file_are_decoded_once_for_the_tiles_they_serve(tmp_path):
+def test_blocks_of_a_file_are_decoded_once_for_the_tiles_they_serve():
     """The first tile has the edges of the others, whose blocks stay in memory: the file may go."""
     heights = relief(1024, 1024)
     path = write_raster(
-        tmp_path / "dem.tif",
+        "dem.tif",
         heights.astype(np.float32),
         Affine(STEP, 0, 8.0, 0, -STEP, LAT),
         tiled=True,
@@ -53,18 +53,18 @@ def test_blocks_of_a_file_are_decoded_once_for_the_tiles_they_serve(tmp_path):
     assert model.heights(np.array([600.0]), np.array([700.0])) == heights[600, 700]
 
 
-def test_rasters_either_side_of_the_date_line_are_one_model(tmp_path):
+def test_rasters_either_side_of_the_date_line_are_one_model():
     heights = relief(CELLS, CELLS)
     north = LAT + 0.5 * CELLS * STEP
     half = CELLS // 2
     stored = heights.astype(np.float32)
     west = write_raster(
-        tmp_path / "west.tif",
+        "west.tif",
         stored[:, :half],
         Affine(STEP, 0, 180.0 - half * STEP, 0, -STEP, north),
     )
     east = write_raster(
-        tmp_path / "east.tif",
+        "east.tif",
         stored[:, half:],
         Affine(STEP, 0, -180.0, 0, -STEP, north),
     )
@@ -103,14 +103,14 @@ BESIDE = {
 
 
 @pytest.fixture
-def with_files_beside(tmp_path) -> Path:
+def with_files_beside() -> Path:
     """A raster whose place, mask and offset are in files beside it."""
     heights = np.full((300, 300), 7.0, np.float32)
     mask = np.full((300, 300), 255, np.uint8)
     mask[0, 0] = 0
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False):
         return write_raster(
-            tmp_path / "dem.tif",
+            "dem.tif",
             heights,
             Affine(0.5, 0, 8.0, 0, -0.5, 50.0),
             offset=100.0,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import struct
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -28,6 +29,12 @@ def gtx(values) -> bytes:
 
 def level_gtx(undulation_m) -> bytes:
     return gtx(np.full((3, 3), undulation_m))
+
+
+def read_gtx(content: bytes):
+    path = Path("a.gtx")
+    path.write_bytes(content)
+    return read_geoid(path)
 
 
 def undulation_of(grid, latitude, longitude):
@@ -85,15 +92,13 @@ def test_undulations_are_those_of_proj(egm96):
     assert_array_equal(undulation_of(read_geoid(egm96), lat, lon), undulation)
 
 
-def test_a_plane_is_exact_and_outside_is_unknown(tmp_path):
+def test_a_plane_is_exact_and_outside_is_unknown():
     north, east = np.mgrid[0:5, 0:7] * 0.5
-    path = tmp_path / "plane.gtx"
     plane = 20.0 + 2.0 * north - 3.0 * east
-    path.write_bytes(gtx(plane))
     lat = [41.3, 42.0, 40.0, 39.9, 41.0]
     lon = [12.1, 13.0, 10.0, 11.0, 13.1]
 
-    undulation = undulation_of(read_geoid(path), lat, lon)
+    undulation = undulation_of(read_gtx(gtx(plane)), lat, lon)
 
     expected = [20.0 + 2.6 - 6.3, 15.0, 20.0]
     assert_allclose(undulation[:3], expected, rtol=1e-6)
@@ -123,12 +128,10 @@ def test_deflections_are_differences_of_projs_undulations(egm96):
     assert_within(-eta, slope(0.0, step), 1e-8)
 
 
-def test_a_hole_is_unknown(tmp_path):
+def test_a_hole_is_unknown():
     values = np.full((3, 3), 45.0)
     values[1, 1] = -88.8888
-    path = tmp_path / "hole.gtx"
-    path.write_bytes(gtx(values))
-    assert np.isnan(undulation_of(read_geoid(path), 40.2, 10.2))
+    assert np.isnan(undulation_of(read_gtx(gtx(values)), 40.2, 10.2))
 
 
 RNG = np.random.default_rng(1)
@@ -143,14 +146,13 @@ OF_VALUES = rasterio.Affine(0.5, 0.0, 9.75, 0.0, -0.5, 42.25)
         (0.001, 20.0, np.int16, 6e-4),
     ],
 )
-def test_a_geotiff_is_the_same_grid(tmp_path, scale, offset, kind, tolerance_m):
-    (tmp_path / "a.gtx").write_bytes(gtx(VALUES))
+def test_a_geotiff_is_the_same_grid(scale, offset, kind, tolerance_m):
     northwards = VALUES[::-1]
     stored = (northwards - np.float32(offset)) / np.float32(scale)
     if kind == np.int16:
         stored = stored.round()
     path = write_raster(
-        tmp_path / "a.tif",
+        "a.tif",
         stored.astype(kind),
         OF_VALUES,
         scale=scale,
@@ -161,17 +163,17 @@ def test_a_geotiff_is_the_same_grid(tmp_path, scale, offset, kind, tolerance_m):
 
     undulation = undulation_of(read_geoid(path), lat, lon)
 
-    expected = undulation_of(read_geoid(tmp_path / "a.gtx"), lat, lon)
+    expected = undulation_of(read_gtx(gtx(VALUES)), lat, lon)
     assert_within(undulation, expected, tolerance_m)
 
 
-def test_a_raster_that_names_another_is_refused(tmp_path):
-    path = write_raster(tmp_path / "a.tif", VALUES, OF_VALUES)
-    naming = tmp_path / "b.tif"
+def test_a_raster_that_names_another_is_refused():
+    path = write_raster("a.tif", VALUES, OF_VALUES)
+    naming = Path("b.tif")
     naming.write_text(
         '<VRTDataset rasterXSize="7" rasterYSize="5"><SRS>EPSG:4326</SRS><GeoTransform>9.75, 0.5,'
         ' 0, 42.25, 0, -0.5</GeoTransform><VRTRasterBand dataType="Float32" band="1">'
-        f"<SimpleSource><SourceFilename>{path}</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>"
+        f"<SimpleSource><SourceFilename>{path.absolute()}</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>"
     )
     with refused_with("GEOID-GRID", "in the file itself"):
         read_geoid(naming)
@@ -187,16 +189,14 @@ def test_a_raster_that_names_another_is_refused(tmp_path):
         (level_gtx(-88.8888), "no value"),
     ],
 )
-def test_what_is_no_grid_is_refused(tmp_path, content, why):
-    path = tmp_path / "bad.gtx"
-    path.write_bytes(content)
+def test_what_is_no_grid_is_refused(content, why):
     with refused_with("GEOID-GRID", why):
-        read_geoid(path)
+        read_gtx(content)
 
 
-def test_a_projected_raster_is_refused(tmp_path):
+def test_a_projected_raster_is_refused():
     path = write_raster(
-        tmp_path / "utm.tif",
+        "utm.tif",
         np.ones((2, 2), np.float32),
         rasterio.Affine(1, 0, 0, 0, -1, 9),
         crs="EPSG:32632",

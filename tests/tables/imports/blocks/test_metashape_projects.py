@@ -119,9 +119,9 @@ def with_paths(text: str) -> str:
 
 
 @pytest.mark.parametrize("with_folders", [in_groups, with_paths])
-def test_labels_that_repeat_have_their_folders(tmp_path, with_folders):
+def test_labels_that_repeat_have_their_folders(with_folders):
     block = SmallBlock.make()
-    path = tmp_path / "s.xml"
+    path = Path("s.xml")
     text = write_two_flights(path, block)
     path.write_text(with_folders(text))
 
@@ -135,16 +135,16 @@ def test_labels_that_repeat_have_their_folders(tmp_path, with_folders):
     assert sorted(of_image["x_px"]) == sorted(expected["x_px"])
 
 
-def test_labels_that_repeat_without_folders_are_refused(tmp_path):
-    path = tmp_path / "s.xml"
+def test_labels_that_repeat_without_folders_are_refused():
+    path = Path("s.xml")
     write_two_flights(path, SmallBlock.make())
     assert "ORIENTATION-REPEATED" in refusal(path, "metashape")
 
 
-def test_what_a_marker_is_not_valid_for_is_left_out(tmp_path):
+def test_what_a_marker_is_not_valid_for_is_left_out():
     """Pinned by hand or found by the program are both measured."""
     block = SmallBlock.make()
-    path = tmp_path / "s.xml"
+    path = Path("s.xml")
     block.write_metashape(path, reference="EPSG:4326")
     text = path.read_text().replace('pinned="true"', 'pinned="false"', 5)
     path.write_text(text.replace('pinned="true"', 'valid="false" pinned="true"', 1))

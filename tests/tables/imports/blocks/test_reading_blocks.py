@@ -258,8 +258,9 @@ def test_images_that_stand_twice_and_points_that_are_missing(model):
     assert "has a points3D.txt" in model.refusal()
 
 
-def write_database(path: Path, keypoints: dict[str, np.ndarray]) -> Path:
+def write_database(name: str, keypoints: dict[str, np.ndarray]) -> Path:
     """By pycolmap, as its feature extractor writes it."""
+    path = Path(name)
     camera = pycolmap.Camera(
         model="SIMPLE_RADIAL",
         width=4000,
@@ -268,20 +269,21 @@ def write_database(path: Path, keypoints: dict[str, np.ndarray]) -> Path:
     )
     with closing(pycolmap.Database.open(str(path))) as database:
         number = database.write_camera(camera)
-        for name, xy in keypoints.items():
-            image = database.write_image(pycolmap.Image(name=name, camera_id=number))
-            database.write_keypoints(image, xy.astype(np.float32))
+        for image_name, xy in keypoints.items():
+            image = pycolmap.Image(name=image_name, camera_id=number)
+            image_id = database.write_image(image)
+            database.write_keypoints(image_id, xy.astype(np.float32))
     return path
 
 
-def test_a_database(tmp_path):
+def test_a_database():
     draw = np.random.default_rng(1)
     keypoints = {
         "b.jpg": draw.uniform(0, 3000, (7, 2)),
         "a.jpg": draw.uniform(0, 3000, (5, 6)),
         "none.jpg": np.empty((0, 2)),
     }
-    path = write_database(tmp_path / "database.db", keypoints)
+    path = write_database("database.db", keypoints)
 
     table = rows(path, "colmap")
     camera = read_camera(path, None, "1")
@@ -297,27 +299,27 @@ def test_a_database(tmp_path):
     assert "neither orientations nor object points" in refusal(path, "colmap")
 
 
-def test_databases_without_keypoints(tmp_path):
-    path = write_database(tmp_path / "database.db", {})
+def test_databases_without_keypoints():
+    path = write_database("database.db", {})
     assert "no keypoints, but matches of 0 pairs" in refusal(path, "colmap")
 
     with closing(sqlite3.connect(path)) as content, content:
         content.execute("INSERT INTO matches VALUES (2147483649, 4, 2, NULL)")
     assert "no keypoints, but matches of 1 pair\n" in refusal(path, "colmap")
 
-    (tmp_path / "database.db-wal").write_bytes(b"\1" * 100)
+    Path("database.db-wal").write_bytes(b"\1" * 100)
     assert "database.db-wal next to it has rows" in refusal(path, "colmap")
 
 
-def test_damaged_databases(tmp_path):
+def test_damaged_databases():
     keypoints = {"a.jpg": np.ones((4000, 2))}
-    path = write_database(tmp_path / "whole.db", keypoints)
+    path = write_database("whole.db", keypoints)
     with closing(sqlite3.connect(path)) as content, content:
         content.execute("UPDATE keypoints SET rows = 4001")
     assert "'a.jpg' are 32000 bytes, not 4001 rows" in refusal(path, "colmap")
 
     keypoints = {"a.jpg": np.ones((40000, 2))}
-    path = write_database(tmp_path / "cut.db", keypoints)
+    path = write_database("cut.db", keypoints)
     content = path.read_bytes()
     ends = (
         0,
@@ -480,8 +482,8 @@ SPHEROID["WGS 84",6378137,298.257223563]],
 PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]</reference></chunk></document>"""
 
 
-def test_markers_of_metashape(tmp_path):
-    path = tmp_path / "markers.xml"
+def test_markers_of_metashape():
+    path = Path("markers.xml")
     path.write_text(MARKERS)
 
     table = read_block_images(path, "metashape")
@@ -502,8 +504,8 @@ def test_markers_of_metashape(tmp_path):
     ]
 
 
-def test_a_local_system_of_metashape_is_no_frame(tmp_path):
-    path = tmp_path / "markers.xml"
+def test_a_local_system_of_metashape_is_no_frame():
+    path = Path("markers.xml")
     local = MARKERS.replace('GEOGCS["WGS 84"', 'LOCAL_CS["Local Coordinates (m)"')
     path.write_text(local)
     assert read_block_images(path, "metashape").frame is None
@@ -522,8 +524,8 @@ def test_a_local_system_of_metashape_is_no_frame(tmp_path):
         (("a.jpg", "b.jpg"), "'b.jpg' occurs twice"),
     ],
 )
-def test_what_of_metashape_cannot_be_read(tmp_path, change, words):
-    path = tmp_path / "markers.xml"
+def test_what_of_metashape_cannot_be_read(change, words):
+    path = Path("markers.xml")
     path.write_text(MARKERS.replace(*change))
     assert words in refusal(path, "metashape")
 
@@ -536,8 +538,8 @@ def test_what_of_metashape_cannot_be_read(tmp_path, change, words):
         ("projections0.ply", None, "it does not contain projections0.ply"),
     ],
 )
-def test_damaged_parts_of_archives(archive, tmp_path, part, content, words):
-    path = tmp_path / "a.psz"
+def test_damaged_parts_of_archives(archive, part, content, words):
+    path = Path("a.psz")
     with zipfile.ZipFile(archive) as source, zipfile.ZipFile(path, "w") as damaged:
         for name in source.namelist():
             if name != part:
@@ -547,8 +549,8 @@ def test_damaged_parts_of_archives(archive, tmp_path, part, content, words):
     assert words in refusal(path, "metashape")
 
 
-def test_an_archive_that_is_cut_off(tmp_path):
-    path = tmp_path / "a.psz"
+def test_an_archive_that_is_cut_off():
+    path = Path("a.psz")
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("doc.xml", MARKERS)
     content = path.read_bytes()
