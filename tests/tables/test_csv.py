@@ -109,8 +109,8 @@ def test_every_value_can_be_had_back(values, kind, left):
 
     table = open_text(table_of("own", rows))
 
-    (own,) = table.user_fields
-    assert str(own.type) == kind
+    (field,) = table.user_fields
+    assert str(field.type) == kind
     assert columns_of(table)["own"] == left
 
 

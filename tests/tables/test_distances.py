@@ -61,12 +61,12 @@ as_parquet_and_csv = pytest.mark.parametrize("csv", [False, True])
     ],
 )
 def test_a_distance_is_read_and_leaves_unchanged(distances, kind, csv):
-    content = table(range=distances, own=distances)
+    content = table(range=distances, copy=distances)
 
     observations = opened(content, RANGED, csv=csv)
     (batch,) = observations.batches(10)
 
-    assert names_of(observations.user_fields) == ["range", "own"]
+    assert names_of(observations.user_fields) == ["range", "copy"]
     assert {field.type for field in observations.user_fields} == {kind}
     assert_array_equal(batch.distance_m, np.array(distances, float))
     assert batch.no_distance == 0

@@ -175,19 +175,19 @@ SAME_AIR = {
 }
 
 
-@pytest.mark.parametrize("what", SAME_AIR)
-def test_one_air_by_all_names(fields, what):
+@pytest.mark.parametrize("case", SAME_AIR)
+def test_one_air_by_all_names(fields, case):
     usual, _ = column_of(fields)
     with xarray.set_options(keep_attrs=True):
-        changed = SAME_AIR[what](fields)
-    member = 0 if "ensemble" in what else None
+        changed = SAME_AIR[case](fields)
+    member = 0 if "ensemble" in case else None
     ledger = Ledger()
 
     same, _ = column_of(changed, member=member, ledger=ledger)
 
     assert not list(ledger)
     low = usual.h_m < 7000.0  # saturation far below freezing is extrapolated differently
-    rtol = 8e-3 if what == "relative humidity" else 1e-9
+    rtol = 8e-3 if case == "relative humidity" else 1e-9
     for name in COLUMN:
         values = getattr(same, name)[low]
         assert_allclose(values, getattr(usual, name)[low], rtol=rtol)
@@ -260,9 +260,9 @@ MODEL_LEVELS_REFUSED = {
 }
 
 
-@pytest.mark.parametrize("what", MODEL_LEVELS_REFUSED)
-def test_model_levels_that_make_no_column_are_refused(what):
-    change, code, words = MODEL_LEVELS_REFUSED[what]
+@pytest.mark.parametrize("case", MODEL_LEVELS_REFUSED)
+def test_model_levels_that_make_no_column_are_refused(case):
+    change, code, words = MODEL_LEVELS_REFUSED[case]
     whole = on_model_levels(air, NORTH, (8.0, 9.0), TIMES[:1], 400.0)
     with refused_with(code, words):
         read(as_netcdf(change(whole)))
@@ -468,9 +468,9 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_is_no_such_field_is_refused_with_its_numbers(fields, what):
-    change, code, words = REFUSED[what]
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_no_such_field_is_refused_with_its_numbers(fields, case):
+    change, code, words = REFUSED[case]
     with refused_with(code, words):
         read(as_netcdf(change(fields)))
 

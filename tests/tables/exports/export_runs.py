@@ -59,9 +59,9 @@ def quaternions_of(turns) -> np.ndarray:
     """(n, 4), NaN where a turn is unknown."""
     turns = np.asarray(turns)
     quaternions = np.full((len(turns), 4), np.nan)
-    known = np.isfinite(turns).all(axis=(1, 2))
-    rotation = Rotation.from_matrix(turns[known])
-    quaternions[known] = rotation.as_quat(canonical=True, scalar_first=True)
+    has_turn = np.isfinite(turns).all(axis=(1, 2))
+    rotation = Rotation.from_matrix(turns[has_turn])
+    quaternions[has_turn] = rotation.as_quat(canonical=True, scalar_first=True)
     return quaternions
 
 

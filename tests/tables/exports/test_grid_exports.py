@@ -173,10 +173,9 @@ def test_angles_count_from_the_axes_of_the_grid(block, crs):
 
     assert_allclose(table[["x_m", "y_m"]], to_grid(crs, LON, LAT))
     assert_allclose(table.z_m, H_ELLIPSOID)
-    turns = Rotation.from_euler("z", -table.convergence_deg, degrees=True)
-    enu_from_grid = turns.as_matrix()
     for station, row in table.iterrows():
-        expected = DOWN @ TURNS[station] @ enu_from_grid[station]
+        turn = Rotation.from_euler("z", -row.convergence_deg, degrees=True)
+        expected = DOWN @ TURNS[station] @ turn.as_matrix()
         assert_within(rotation_to_photo(row), expected, 1e-9)
 
 
@@ -448,7 +447,7 @@ def test_places_are_geographic_without_a_system(unbend, baseline, tmp_path, name
     ],
 )
 def test_what_does_not_fit_is_refused(unbend, baseline, tmp_path, options, code, words):
-    name, *others = options.split()
+    name, *arguments = options.split()
     out = tmp_path / f"o{FORMATS[name].ending}"
 
     ended = unbend(
@@ -458,7 +457,7 @@ def test_what_does_not_fit_is_refused(unbend, baseline, tmp_path, options, code,
         out,
         "--format",
         name,
-        *others,
+        *arguments,
     )
 
     assert ended.code == 2, ended.text

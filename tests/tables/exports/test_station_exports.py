@@ -285,13 +285,13 @@ def test_exported_orientations_are_read_again(run):
     """By the names of their columns, with the columns of camera and time."""
     path = write_export(run, "opk").path
     names = ("image", "latitude", "longitude", "height", "omega", "phi", "kappa")
-    stated = Stated(
+    settings = Stated(
         columns=dict(zip(names, names, strict=True)),
         heights="ellipsoid",
         unstated=("camera", "time_utc"),
     )
 
-    table = read_orientation(path, stated, Ledger())
+    table = read_orientation(path, settings, Ledger())
 
     stations = run.stations.rows(np.array(OK))
     assert table.image.tolist() == NAMES_OF_OK

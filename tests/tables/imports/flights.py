@@ -72,7 +72,7 @@ class Flight:
         self.pitch = np.radians(2.0 + np.sin(t / 7.0))
         self.roll = np.radians(3.0) * np.sin(t / 5.0)
 
-    def at(self, t: np.ndarray) -> Flight:
+    def at_times(self, t: np.ndarray) -> Flight:
         """The same flight at other times."""
         return Flight(self.folder, t)
 
@@ -124,7 +124,7 @@ class Flight:
         turn = np.exp(-1j * sign * wander)
         ground = (north - 1j * east) * turn
         heading = self.yaw + sign * wander
-        later = self.at(self.t + 0.001).attitude
+        later = self.at_times(self.t + 0.001).attitude
         turned = self.attitude.inv() * later
         return np.column_stack(
             [
@@ -189,17 +189,17 @@ class Flight:
         return self.put("eo.txt", "".join(lines))
 
 
-def read(reader, path, stated=None) -> tuple[Channel, Ledger]:
+def read(reader, path, settings=None) -> tuple[Channel, Ledger]:
     """What a reader makes of a file, and what it says of it."""
     ledger = Ledger()
-    channel = reader(path, stated or Stated(), ledger)
+    channel = reader(path, settings or Stated(), ledger)
     return channel, ledger
 
 
-def refusal_of(reader, path, stated=None) -> InputError:
+def refusal_of(reader, path, settings=None) -> InputError:
     """How a reader refuses a file, which says what to do."""
     with pytest.raises(InputError) as caught:
-        reader(path, stated or Stated(), Ledger())
+        reader(path, settings or Stated(), Ledger())
     assert caught.value.remedy
     return caught.value
 

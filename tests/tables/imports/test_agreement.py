@@ -46,10 +46,10 @@ def changed(channel: Channel, **columns) -> Channel:
     return replace(channel, columns=changed_columns)
 
 
-def compared(imported, own, replaces=ROLES) -> dict[str, Message]:
+def compared(imported, log, replaces=ROLES) -> dict[str, Message]:
     """Messages by their codes."""
     ledger = Ledger()
-    compare_with_log(imported, own, HeightSystem(47.6), ledger, replaces=replaces)
+    compare_with_log(imported, log, HeightSystem(47.6), ledger, replaces=replaces)
     return {message.code: message for message in ledger}
 
 
@@ -61,15 +61,15 @@ DAY_NS = 86_400 * 10**9
 
 
 @pytest.fixture
-def own(flight) -> dict[str, Channel]:
+def log(flight) -> dict[str, Channel]:
     return dict.fromkeys(ROLES, gps_of(flight, "GPS[0]"))
 
 
-def test_five_exposures_with_the_error_of_an_autopilot_are_no_other_time(exposures, own):
-    few = exposures.at(np.arange(5) * 3.0 + 280.0)
+def test_five_exposures_with_the_error_of_an_autopilot_are_no_other_time(exposures, log):
+    few = exposures.at_times(np.arange(5) * 3.0 + 280.0)
     off = gps_of(few, "e.MRK", north_m=3.0)
 
-    agrees = compared(off, own)["TRAJECTORY-AGREES"]
+    agrees = compared(off, log)["TRAJECTORY-AGREES"]
 
     assert agrees.kind == "note"
     assert "3.00 m from GPS[0]" in agrees.what
@@ -85,27 +85,27 @@ def test_five_exposures_with_the_error_of_an_autopilot_are_no_other_time(exposur
     ],
 )
 def test_a_trajectory_much_longer_than_the_log_is_shifted_all_the_same(
-    exposures, own, late_s, shift
+    exposures, log, late_s, shift
 ):
-    long = exposures.at(np.arange(-3000.0, 3000.0, 0.5))
+    long = exposures.at_times(np.arange(-3000.0, 3000.0, 0.5))
     late = gps_of(long, "long.pos", late_s=late_s)
     with refused("TRAJECTORY-TIME") as refusal:
-        compared(late, own)
+        compared(late, log)
     assert shift in refusal.value.what
 
 
-def test_without_positions_nothing_is_checked_and_that_is_told(exposures, own):
+def test_without_positions_nothing_is_checked_and_that_is_told(exposures, log):
     events = gps_of(exposures, "e.MRK")
     assert compared(events, {})["TRAJECTORY-ALONE"].kind == "warning"
     nowhere = changed(events, lat_rad=np.nan)
-    assert compared(nowhere, own)["TRAJECTORY-ALONE"].kind == "warning"
+    assert compared(nowhere, log)["TRAJECTORY-ALONE"].kind == "warning"
 
 
-def test_a_log_without_heights_at_the_times_of_the_trajectory_is_noted(exposures, own):
-    without = changed(own["height"], h_ellipsoid_m=np.nan)
+def test_a_log_without_heights_at_the_times_of_the_trajectory_is_noted(exposures, log):
+    without = changed(log["height"], h_ellipsoid_m=np.nan)
     events = gps_of(exposures, "e.MRK")
 
-    messages = compared(events, own | {"height": without})
+    messages = compared(events, log | {"height": without})
 
     alone = messages["TRAJECTORY-HEIGHT-ALONE"]
     assert alone.kind == "note"
@@ -113,19 +113,19 @@ def test_a_log_without_heights_at_the_times_of_the_trajectory_is_noted(exposures
     assert "TRAJECTORY-HEIGHT-AGREES" not in messages
 
 
-def test_a_log_without_attitudes_at_the_times_of_the_trajectory_is_noted(exposures, own):
+def test_a_log_without_attitudes_at_the_times_of_the_trajectory_is_noted(exposures, log):
     imported = changed(gps_of(exposures, "t.pos"), **LEVEL)
-    later = changed(own["position"], **LEVEL)
+    later = changed(log["position"], **LEVEL)
     later = replace(later, name="ATT[0]", time_ns=later.time_ns + 10 * DAY_NS)
-    log = own | {"attitude": later}
+    with_attitudes = log | {"attitude": later}
 
-    messages = compared(imported, log, ("position", "attitude"))
+    messages = compared(imported, with_attitudes, ("position", "attitude"))
 
     assert messages["TRAJECTORY-ANGLES-ALONE"].kind == "note"
     assert "TRAJECTORY-ANGLES-AGREE" not in messages
 
 
-def test_the_height_of_the_other_surface_is_named(exposures, own):
+def test_the_height_of_the_other_surface_is_named(exposures, log):
     events = gps_of(exposures, "t.csv")
     above_sea = changed(
         events,
@@ -133,7 +133,7 @@ def test_the_height_of_the_other_surface_is_named(exposures, own):
         h_msl_m=exposures.height,
     )
     with refused_with("TRAJECTORY-HEIGHT", "heights above ellipsoid") as refusal:
-        compared(above_sea, own)
+        compared(above_sea, log)
     assert "+47.6" in refusal.value.what
 
 
@@ -157,13 +157,13 @@ def moved(channel: Channel, *, up_m=0.0, north_m=0.0) -> Channel:
     ],
 )
 def test_a_tenth_of_a_trajectory_that_is_off_is_graded_and_doubtful(
-    flight, own, quantity, north_m, up_m, code
+    flight, log, quantity, north_m, up_m, code
 ):
     true = gps_of(flight, "t.pos")
     wrong = moved(true, north_m=north_m, up_m=up_m)
 
-    messages = compared(wrong, own)
-    (stretch,) = doubts(wrong, own)
+    messages = compared(wrong, log)
+    (stretch,) = doubts(wrong, log)
 
     assert messages[code].kind == "loss"
     assert stretch.quantity == quantity
@@ -173,16 +173,16 @@ def test_a_tenth_of_a_trajectory_that_is_off_is_graded_and_doubtful(
     assert abs(stretch.end_ns - end_ns) < 2e9
 
 
-def test_a_trajectory_that_agrees_is_not_doubtful(flight, own):
+def test_a_trajectory_that_agrees_is_not_doubtful(flight, log):
     true = gps_of(flight, "t.pos")
-    assert compared(true, own)["TRAJECTORY-AGREES"].kind == "note"
-    assert doubts(true, own) == ()
+    assert compared(true, log)["TRAJECTORY-AGREES"].kind == "note"
+    assert doubts(true, log) == ()
 
 
-def test_a_log_that_is_doubtful_or_a_sigma_that_says_so_casts_no_doubt(flight, own):
+def test_a_log_that_is_doubtful_or_a_sigma_that_says_so_casts_no_doubt(flight, log):
     true = gps_of(flight, "t.pos")
-    log = moved(own["position"], north_m=40.0)
-    away = dict.fromkeys(ROLES, log)
+    gps = moved(log["position"], north_m=40.0)
+    away = dict.fromkeys(ROLES, gps)
     assert doubts(true, away)
 
     begin_ns, *_, end_ns = true.time_ns.tolist()
@@ -192,17 +192,17 @@ def test_a_log_that_is_doubtful_or_a_sigma_that_says_so_casts_no_doubt(flight, o
     sigma_m = np.full(len(true), 0.02)
     sigma_m[FIFTH_TENTH] = 20.0
     uncertain = changed(moved(true, north_m=40.0), sigma_h_m=sigma_m)
-    assert doubts(uncertain, own) == ()
+    assert doubts(uncertain, log) == ()
 
 
-def test_heights_above_another_surface_are_no_doubt(flight, own):
+def test_heights_above_another_surface_are_no_doubt(flight, log):
     """In a climb a constant difference is not taken for a lag."""
     height = flight.height + np.linspace(0.0, 900.0, flight.t.size)
-    gps = changed(own["height"], h_ellipsoid_m=None, h_msl_m=height - 47.6)
-    log = dict.fromkeys(ROLES, gps)
+    gps = changed(log["height"], h_ellipsoid_m=None, h_msl_m=height - 47.6)
+    climbing_log = dict.fromkeys(ROLES, gps)
     climbing = changed(
         gps_of(flight, "t.pos"),
         h_ellipsoid_m=height,
         v_down_m_s=-3.0,
     )
-    assert doubts(climbing, log) == ()
+    assert doubts(climbing, climbing_log) == ()

@@ -81,9 +81,9 @@ def test_images_without_a_position_keep_their_time_and_are_told(exposures):
 
 
 def test_what_is_stated_against_an_mrk_holds_and_is_told(exposures):
-    stated = Stated("utc", heights="msl")
+    settings = Stated("utc", heights="msl")
 
-    channel, ledger = read(read_mrk, exposures.mrk(), stated)
+    channel, ledger = read(read_mrk, exposures.mrk(), settings)
 
     of_time, of_height = with_code(ledger, "IMPORT-CONTRADICTED")
     assert of_time.kind == of_height.kind == "warning"
@@ -202,7 +202,7 @@ def test_a_damaged_time_moves_no_other_by_a_week(exposures):
 
     channel, _ = read(read_eo_text, path, OF_WEEK)
 
-    undamaged = exposures.at(np.delete(exposures.t, 5))
+    undamaged = exposures.at_times(np.delete(exposures.t, 5))
     assert ns_off(channel, undamaged) < 1000
 
 

@@ -30,9 +30,9 @@ ROW = "a,47.5,8.5,3000.5,1.0,-2.0,90.0\n"
 def read(text: str, names=NAMES, unit: str = "deg"):
     path = Path("block.csv")
     path.write_text(text, encoding="utf-8")
-    stated = Stated(columns=names, angle_unit=unit)
+    settings = Stated(columns=names, angle_unit=unit)
     ledger = Ledger()
-    table = read_orientation(path, stated, ledger)
+    table = read_orientation(path, settings, ledger)
     return table, tuple(ledger)
 
 
@@ -271,9 +271,9 @@ UNSTATED = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma
 def read_by_defaults(text: str, **options):
     path = Path("own.csv")
     path.write_text(text, encoding="utf-8")
-    stated = Stated(columns=DEFAULTS, heights="ellipsoid", **options)
+    settings = Stated(columns=DEFAULTS, heights="ellipsoid", **options)
     ledger = Ledger()
-    return read_orientation(path, stated, ledger), ledger
+    return read_orientation(path, settings, ledger), ledger
 
 
 def test_our_own_table_is_read_without_columns():
@@ -323,17 +323,17 @@ def test_a_table_that_lacks_one_of_our_columns_is_not_our_own(column):
 
 
 @pytest.mark.parametrize(
-    ("head", "stated"),
+    ("head", "settings"),
     [
         ("imageName,Latitude,Longitude,Height,Omega,Phi,Kappa", {}),
         ("PhotoID,lat,lng,h_ellipsoid_m,OMEGA,PHI,KAPPA", {}),
         ("Label,lat_deg,lon_deg,height,omega_grad,phi_grad,kappa_grad", {"angle_unit": "grad"}),
     ],
 )
-def test_usual_names_of_other_programs(head, stated):
+def test_usual_names_of_other_programs(head, settings):
     text = f"{head}\na,47.5,8.5,3000.5,1,-2,90\n"
 
-    table, _ = read_by_defaults(text, **stated)
+    table, _ = read_by_defaults(text, **settings)
 
     assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
     assert table.image.tolist() == ["a"]

@@ -205,9 +205,9 @@ def test_a_pos_file_without_its_header_or_its_rows_is_refused(flight, is_head):
 
 
 def test_what_is_stated_against_a_header_holds_and_is_told(flight):
-    stated = Stated(time_system="utc", heights="msl")
+    settings = Stated(time_system="utc", heights="msl")
 
-    channel, ledger = read(read_pos, flight.pos(), stated)
+    channel, ledger = read(read_pos, flight.pos(), settings)
 
     of_time, of_height = with_code(ledger, "IMPORT-CONTRADICTED")
     assert of_time.kind == of_height.kind == "warning"
@@ -221,9 +221,9 @@ def test_what_is_stated_against_a_header_holds_and_is_told(flight):
 
 @pytest.mark.parametrize("wander_deg", [0.0, 1.3, -40.0])
 def test_an_sbet_and_its_sigmas_are_read(flight, wander_deg):
-    stated = replace(OF_WEEK, accuracy=flight.smrmsg())
+    settings = replace(OF_WEEK, accuracy=flight.smrmsg())
 
-    channel, ledger = read(read_sbet, flight.sbet(wander_deg=wander_deg), stated)
+    channel, ledger = read(read_sbet, flight.sbet(wander_deg=wander_deg), settings)
 
     assert {entry.kind for entry in ledger} == {"note"}
     assert ns_off(channel, flight) < 100
@@ -295,17 +295,17 @@ def test_the_week_is_that_of_the_log_and_midnight_of_saturday_is_passed(flight, 
     later_ns = 302_300 * 10**9
     begin_ns, *_, end_ns = (flight.utc_ns + later_ns).tolist()
     begin_ns -= days * 86_400 * 10**9
-    stated = replace(GPST, around_ns=(begin_ns, end_ns))
+    settings = replace(GPST, around_ns=(begin_ns, end_ns))
 
-    channel, _ = read(read_sbet, path, stated)
+    channel, _ = read(read_sbet, path, settings)
 
     assert ns_off(channel, flight, later_ns) < 100
     assert refusal_of(read_sbet, path, GPST).code == "IMPORT-WEEK"
 
 
 def test_seconds_of_the_week_in_utc_have_no_leap_seconds(flight):
-    stated = replace(OF_WEEK, time_system="utc")
-    channel, _ = read(read_sbet, flight.sbet(), stated)
+    settings = replace(OF_WEEK, time_system="utc")
+    channel, _ = read(read_sbet, flight.sbet(), settings)
     assert ns_off(channel, flight, LEAP_NS) < 100
 
 
@@ -360,7 +360,7 @@ def test_sigmas_are_no_sbet_and_those_of_another_flight_and_none_are_refused(fli
     path = flight.sbet()
     assert "smrmsg" in refusal_of(read_sbet, flight.smrmsg(), OF_WEEK).what
 
-    later = flight.at(flight.t + 5000.0).smrmsg()
+    later = flight.at_times(flight.t + 5000.0).smrmsg()
     with_later_sigmas = replace(OF_WEEK, accuracy=later)
     assert "seconds of the week" in refusal_of(read_sbet, path, with_later_sigmas).what
 
@@ -369,14 +369,14 @@ def test_sigmas_are_no_sbet_and_those_of_another_flight_and_none_are_refused(fli
 
 
 @pytest.mark.parametrize(
-    "stated",
+    "settings",
     [
         Stated(heights="msl"),
         Stated("gpst", WEEK),
     ],
 )
-def test_what_an_sbet_does_not_say_must_be_stated(flight, stated):
-    assert refusal_of(read_sbet, flight.sbet(), stated).code == "IMPORT-UNSTATED"
+def test_what_an_sbet_does_not_say_must_be_stated(flight, settings):
+    assert refusal_of(read_sbet, flight.sbet(), settings).code == "IMPORT-UNSTATED"
 
 
 # CSV
@@ -420,7 +420,7 @@ UTC = Stated("utc", heights="ellipsoid")
 
 
 @pytest.mark.parametrize(
-    ("times", "stated", "mark"),
+    ("times", "settings", "mark"),
     [
         (gps_times, GPST, ","),
         (utc_dates, UTC, ";"),
@@ -429,11 +429,11 @@ UTC = Stated("utc", heights="ellipsoid")
         (seconds_since_1970, UTC, ";"),
     ],
 )
-def test_a_csv_has_its_times_in_any_of_five_forms(flight, times, stated, mark):
+def test_a_csv_has_its_times_in_any_of_five_forms(flight, times, settings, mark):
     path = write_csv(flight, "t,lon,lat,h", *flight.places, times=times(flight))
     path.write_text(path.read_text().replace(",", mark))
 
-    channel, _ = read(read_trajectory_csv, path, replace(stated, columns=PLACES))
+    channel, _ = read(read_trajectory_csv, path, replace(settings, columns=PLACES))
 
     assert ns_off(channel, flight) < 1000
     assert metres_off(channel, flight) < 2e-4
@@ -451,9 +451,9 @@ def test_angles_are_read_in_their_unit_and_order(flight, unit, circle, order):
     turns = flight.attitude.as_euler(order) / (2 * np.pi)
     angles = [turns[:, order.index(axis)] * circle for axis in "XYZ"]
     path = write_csv(flight, "t,lon,lat,h,r,p,y", *flight.places, *angles)
-    stated = replace(OF_ANGLES, angle_unit=unit, angle_order=order)
+    settings = replace(OF_ANGLES, angle_unit=unit, angle_order=order)
 
-    channel, _ = read(read_trajectory_csv, path, stated)
+    channel, _ = read(read_trajectory_csv, path, settings)
 
     assert degrees_off(channel, flight) < 1e-6
 
@@ -492,16 +492,16 @@ def test_a_projection_and_its_north(flight):
     path = flight.folder / "t.csv"
     table.to_csv(path, index=False, float_format="%.9f")
     names = dict(zip(columns, table.columns, strict=True))
-    stated = replace(GPST, columns=names, crs="EPSG:2154")
+    settings = replace(GPST, columns=names, crs="EPSG:2154")
 
-    channel, ledger = read(read_trajectory_csv, path, stated)
+    channel, ledger = read(read_trajectory_csv, path, settings)
 
     assert metres_off(channel, flight) < 2e-4
     assert degrees_off(channel, flight) < 1e-4
     assert_within(channel["v_north_m_s"], north, 1e-4)
     assert_within(channel["v_east_m_s"], east, 1e-4)
     assert with_code(ledger, "CRS-DATUM")
-    unstated = replace(stated, heights=None)
+    unstated = replace(settings, heights=None)
     assert refusal_of(read_trajectory_csv, path, unstated).code == "IMPORT-UNSTATED"
 
 
@@ -520,7 +520,7 @@ NOON = "2026-05-06T12:00:00"
 
 
 @pytest.mark.parametrize(
-    ("row", "stated", "code"),
+    ("row", "settings", "code"),
     [
         pytest.param(
             f"{NOON},35.7,139.7,100",
@@ -560,9 +560,9 @@ NOON = "2026-05-06T12:00:00"
         ),
     ],
 )
-def test_a_csv_that_cannot_be_read_is_refused(flight, row, stated, code):
+def test_a_csv_that_cannot_be_read_is_refused(flight, row, settings, code):
     path = flight.put("t.csv", f"t,lat,lon,h\n{row}\n")
-    assert refusal_of(read_trajectory_csv, path, stated).code == code
+    assert refusal_of(read_trajectory_csv, path, settings).code == code
 
 
 def test_the_worst_latitude_is_said_with_its_sign(flight):
