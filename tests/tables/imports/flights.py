@@ -226,11 +226,11 @@ def degrees_off(channel: Channel, flight: Flight) -> float:
     return np.degrees(apart.magnitude().max())
 
 
-def assert_place(channel, row, lat_deg, lon_deg) -> None:
+def assert_place(channel, row, lat_deg, lon_deg, tolerance_deg=1e-10) -> None:
     lat_rad = channel["lat_rad"][row]
     lon_rad = channel["lon_rad"][row]
-    assert np.degrees(lat_rad) == pytest.approx(lat_deg, abs=1e-10)
-    assert np.degrees(lon_rad) == pytest.approx(lon_deg, abs=1e-10)
+    assert np.degrees(lat_rad) == pytest.approx(lat_deg, abs=tolerance_deg)
+    assert np.degrees(lon_rad) == pytest.approx(lon_deg, abs=tolerance_deg)
 
 
 def utc_text(channel: Channel, row: int) -> str:

@@ -44,7 +44,7 @@ def test_a_published_line_of_an_mrk(flight):
     assert row["offset_north_m"] == pytest.approx(-0.040)
     assert row["offset_east_m"] == pytest.approx(0.0)
     assert row["offset_down_m"] == pytest.approx(0.086)
-    assert_place(channel, 0, 44.42824637, 1.26196331)
+    assert_place(channel, 0, 44.42824637, 1.26196331, tolerance_deg=1e-11)
     assert row["h_ellipsoid_m"] == 359.494
     assert row["sigma_h_m"] == pytest.approx(np.hypot(0.028, 0.031) / np.sqrt(2))
     assert row["sigma_v_m"] == 0.055
