@@ -92,9 +92,11 @@ def test_points_that_pycolmap_reads_lose_nothing(block, written):
         pixels = [point.xy for point in image.points2D]
         # Half a pixel there and back: 1 ulp of 14,000 px.
         assert_within(pixels, rows[PIXELS], 2e-12)
+        has_point = [point.has_point3D() for point in image.points2D]
+        is_tied = rows.point.isin(block.tied)
+        assert has_point == is_tied.tolist()
         tied = [point.point3D_id for point in image.points2D if point.has_point3D()]
         names = names_of_points(colmap.path, tied)
-        is_tied = rows.point.isin(block.tied)
         assert names == rows.point[is_tied].tolist()
     names = names_of_points(colmap.path, model.points3D)
     assert set(names) == block.tied
