@@ -36,8 +36,14 @@ COLMAP = {
 }
 
 
-@pytest.mark.parametrize("name", ["cameras.txt", "cameras.bin"])
-def test_what_pycolmap_writes(name):
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("cameras.txt", pycolmap.Reconstruction.write_text),
+        ("cameras.bin", pycolmap.Reconstruction.write_binary),
+    ],
+)
+def test_what_pycolmap_writes(name, write):
     path = Path(name)
     block = pycolmap.Reconstruction()
     for number, (model, params) in COLMAP.items():
@@ -49,8 +55,7 @@ def test_what_pycolmap_writes(name):
             camera_id=number,
         )
         block.add_camera(camera)
-    block.write_text(".")
-    block.write_binary(".")
+    write(block, ".")
 
     rays = np.stack([*RAYS, np.ones(RAYS.shape[1])], axis=1)
     for number in (1, 2, 7, 11):
