@@ -27,11 +27,10 @@ def table(**more) -> pa.Table:
     rows = 2
     for values in more.values():
         rows = len(values)
-    text = ["a"] * rows
     numbers = np.arange(rows, dtype=float)
     columns = {
-        "image": text,
-        "point": text,
+        "image": ["a"] * rows,
+        "point": ["p"] * rows,
         "x_px": numbers,
         "y_px": numbers,
     }
@@ -145,7 +144,8 @@ def test_words_among_the_distances_of_a_csv():
 )
 def test_a_column_called_like_one_of_ours_leaves_renamed(direction, column):
     """In either direction: it would make the results look like those of the other one."""
-    content = table(u=PAIR, v=PAIR, **{column: PAIR})
+    distances = {column: PAIR}
+    content = table(u=[3.0, 4.0], v=[5.0, 6.0], **distances)
     columns = {
         "image": "image",
         "point": "point",
@@ -164,7 +164,7 @@ def test_a_column_called_like_one_of_ours_leaves_renamed(direction, column):
 
 def test_a_distance_that_is_not_there():
     with refused_with("OBS-COLUMN", "perhaps 'ranges'") as refusal:
-        read(table(ranges=PAIR), RANGED)
+        opened(table(ranges=PAIR), RANGED)
     assert "observations.columns.distance_m" in str(refusal.value)
 
 
@@ -178,19 +178,19 @@ def test_a_distance_that_is_not_there():
 )
 def test_a_distance_of_another_kind(values, csv):
     with refused("OBS-TYPE"):
-        read(table(range=values), RANGED, csv=csv)
+        opened(table(range=values), RANGED, csv=csv)
 
 
 @pytest.mark.parametrize("name", ["x_px", "point"])
 def test_a_distance_that_is_something_else_too(name):
     columns = COLUMNS | {"distance_m": name}
     with refused_with("OBS-COLUMN", name):
-        read(table(), columns)
+        opened(table(), columns)
 
 
 def test_a_distance_is_no_ground_height():
     with refused_with("OBS-COLUMN", "two quantities"):
-        read(table(range=PAIR), RANGED, ground="range")
+        opened(table(range=PAIR), RANGED, ground="range")
 
 
 # What was done to a table before.
