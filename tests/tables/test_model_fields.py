@@ -536,6 +536,9 @@ def test_another_member_than_the_file_has_is_refused(fields):
     assert read(third, member=3).time_ns.size == 2
     with refused_with("MODEL-MEMBER", "members"):
         read(third, member=4)
+
+
+def test_a_member_of_a_file_without_any_is_refused(fields):
     with refused_with("MODEL-MEMBER", "members"):
         read(as_netcdf(fields), member=0)
 
@@ -571,8 +574,10 @@ def test_another_place_is_refused_with_the_distance(fields, longitude, latitude,
 def test_a_hole_in_the_grid_is_no_place_to_interpolate_over(fields):
     farther_east = fields.assign_coords(longitude=[11.0, 11.5, 12.0])
     with_hole = xarray.concat([fields, farther_east], "longitude")
+    place = np.radians([[47.3], [10.0]])
+    field = read(as_netcdf(with_hole), place)
     with refused_with("MODEL-AREA", "75 km"):
-        refuse_place(with_hole, 47.3, 10.0)
+        field.refuse_outside(*place)
 
 
 def counts_of(notes) -> dict[str, int]:
