@@ -16,7 +16,6 @@ COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 
 
 def opened(
-    folder: Path,
     content: str | bytes | pa.Table,
     columns: dict[str, str | None] = COLUMNS,
     *,
@@ -26,7 +25,7 @@ def opened(
     **options: Any,
 ) -> Observations:
     """Text as a CSV; a table as one or as Parquet."""
-    path = folder / "o.csv"
+    path = Path("o.csv")
     if isinstance(content, bytes):
         path.write_bytes(content)
     elif isinstance(content, str):
@@ -34,7 +33,7 @@ def opened(
     elif csv:
         pa_csv.write_csv(content, path)
     else:
-        path = folder / "o.parquet"
+        path = Path("o.parquet")
         pq.write_table(content, path)
     return open_observations(
         path, columns, ground, Ledger() if ledger is None else ledger, **options

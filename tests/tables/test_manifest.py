@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Any
 
 import pytest
@@ -24,7 +24,10 @@ def values(baseline) -> dict[str, Any]:
 
 def test_the_effect_of_the_air():
     """10 urad for 8 in the standard, sigma 0.4: 2.0626 and 1.6501 arcsec, factor 1.25 +- 0.05."""
-    record = EffectRecord.of(Effect(45.0, 6000.04, 200.0, 10e-6, 8e-6, 0.4e-6))
+    effect = Effect(45.0, 6000.04, 200.0, 10e-6, 8e-6, 0.4e-6)
+
+    record = EffectRecord.of(effect)
+
     assert asdict(record) == {
         "nadir_angle_deg": 45.0,
         "h_c_m": 6000.0,
@@ -42,48 +45,68 @@ def test_the_effect_of_the_air():
 def test_the_records_hold_all_that_the_file_holds(values):
     """Written again they give the same values, and no key is without a field."""
     manifest = Manifest(values)
+
     run = asdict(manifest.run)
     assert run.pop("attempt") == ""
     assert run | manifest.results.row() == values
-    kinds = {type(source) for source in manifest.results.profile.sources}
-    assert kinds == {FittedSource, OtherSource}
+    sources = manifest.results.profile.sources
+    assert {type(source) for source in sources} == {FittedSource, OtherSource}
 
 
 def test_what_the_report_reads_of_a_mission_file_are_keys_of_it(values):
     mission = Mission.model_validate_json(json.dumps(values["config"]))
+
     sections = Manifest(values).sections
+
     assert sections.refraction.method == mission.refraction.method
     assert sections.refraction.direction == mission.refraction.direction
     assert sections.stations.use_suspect == mission.stations.use_suspect
     assert sections.cameras.keys() == mission.cameras.keys()
     for name, camera in sections.cameras.items():
-        stated = mission.cameras[name]
-        assert (camera.principal_distance is None) == (stated.principal_distance is None)
-        assert camera.window is not None
-        assert stated.window is not None
-        for field in fields(camera.window):
-            assert getattr(camera.window, field.name) == getattr(stated.window, field.name)
+        in_file = mission.cameras[name]
+        has_distance = camera.principal_distance is not None
+        assert has_distance == (in_file.principal_distance is not None)
+        for quantity, value in vars(camera.window).items():
+            assert value == getattr(in_file.window, quantity)
 
 
 def test_what_a_later_version_adds_is_kept_and_not_read(values):
     values["correction"]["later"] = 1
     values["later"] = {"a": 2}
+
     manifest = Manifest(values)
+
     assert manifest.results.correction.shift_px.count == 59
-    assert manifest.with_values({"mission_file_sha256": "x"}).values["later"] == {"a": 2}
+    changed = manifest.with_values({"mission_file_sha256": "x"})
+    assert changed.values["later"] == {"a": 2}
 
 
 def test_what_an_older_version_did_not_write_is_empty():
-    old = {"mission": "m", "fingerprint": "f", "exit_code": 0, "outputs": []}
+    old = {
+        "mission": "m",
+        "fingerprint": "f",
+        "exit_code": 0,
+        "outputs": [],
+    }
+
     run = Manifest(old).run
+
     assert run == RunRecord(mission="m", fingerprint="f", exit_code=0)
     assert isinstance(run, Identity)
     assert run.inputs == []
     assert run.config == run.versions == {}
-    assert Manifest(old | {"inputs": [{"role": "log", "name": "n", "sha256": "s"}]}).run.inputs
+    log = {"role": "log", "name": "n", "sha256": "s"}
+    assert Manifest(old | {"inputs": [log]}).run.inputs
 
 
-@pytest.mark.parametrize("wrong", [{"shift_px": None}, {"shift_px": {"count": "many"}}, {}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"shift_px": None},
+        {"shift_px": {"count": "many"}},
+        {},
+    ],
+)
 def test_results_that_lack_something_are_refused_with_their_file(values, wrong):
     values["correction"] = wrong
     with refused("MANIFEST-UNREADABLE") as refusal:

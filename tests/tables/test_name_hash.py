@@ -8,42 +8,66 @@ import pyarrow as pa
 from unbend.tables.name_hashes import hashes_of, rows_among
 
 # From the reference of Fowler, Noll and Vo: FNV-1a of 64 bits.
-PUBLISHED = {"": 0xCBF29CE484222325, "a": 0xAF63DC4C8601EC8C, "foobar": 0x85944171F73967E8}
+OFFSET_BASIS = 0xCBF29CE484222325
+PRIME = 0x100000001B3
+PUBLISHED = {
+    "": OFFSET_BASIS,
+    "a": 0xAF63DC4C8601EC8C,
+    "foobar": 0x85944171F73967E8,
+}
 
 
 def fnv_1a(name: str) -> int:
-    bits = 0xCBF29CE484222325
+    bits = OFFSET_BASIS
     for byte in name.encode():
-        bits = (bits ^ byte) * 0x100000001B3 % (1 << 64)
+        bits ^= byte
+        bits = bits * PRIME % 2**64
     return bits
 
 
 def mixed(bits: int) -> int:
-    bits = (bits ^ bits >> 32) * 0xD6E8FEB86659FD93 % (1 << 64)
+    bits ^= bits >> 32
+    bits = bits * 0xD6E8FEB86659FD93 % 2**64
     return bits ^ bits >> 32
 
 
 def test_hashes_are_those_of_plain_python():
-    assert {name: fnv_1a(name) for name in PUBLISHED} == PUBLISHED
+    for name, published in PUBLISHED.items():
+        assert fnv_1a(name) == published
+
     names = ["", "a", "foobar", "Straße", "p00000017", None, "p00000018"]
-    expected = [mixed(fnv_1a(name or "")) for name in names]
-    assert hashes_of(pa.array(names, pa.string())).tolist() == expected
-    assert hashes_of(pa.array(names, pa.string()).slice(3, 3)).tolist() == expected[3:6]
-    assert hashes_of(pa.array([None, None], pa.string())).tolist() == expected[:1] * 2
+    expected = []
+    for name in names:
+        bits = fnv_1a(name or "")
+        expected.append(mixed(bits))
+    array = pa.array(names, pa.string())
+    nulls = pa.array([None, None], pa.string())
+
+    assert hashes_of(array).tolist() == expected
+    assert hashes_of(array.slice(3, 3)).tolist() == expected[3:6]
+    assert hashes_of(nulls).tolist() == [expected[0]] * 2
 
 
 def test_names_that_count_are_spread_evenly():
-    hashes = hashes_of(pa.array([f"p{k:07d}" for k in range(100_000)]))
+    names = [f"p{number:07d}" for number in range(100_000)]
+
+    hashes = hashes_of(pa.array(names))
+
     assert np.unique(hashes).size == 100_000
-    counts = np.bincount((hashes % np.uint64(20)).astype(int))
-    assert np.abs(counts - 5000).max() < 5 * np.sqrt(5000)  # five sigma of Poisson's
+    bins = hashes % np.uint64(20)
+    counts = np.bincount(bins.astype(int))
+    five_sigma = 5 * np.sqrt(5000)  # of Poisson's distribution
+    assert np.abs(counts - 5000).max() < five_sigma
 
 
 def test_rows_among_are_those_of_a_set():
     rng = np.random.default_rng(1)
-    hashes = rng.integers(0, 1 << 63, 5000).astype(np.uint64)
-    hashes[100] = hashes[7] ^ np.uint64(1 << 40)  # the same last 24 bits
-    wanted = hashes[[7, 4000, 4001]]
-    of_set = set(wanted.tolist())
-    expected = [k for k, value in enumerate(hashes.tolist()) if value in of_set]
-    assert rows_among(hashes, np.sort(wanted)).tolist() == expected == [7, 4000, 4001]
+    hashes = rng.integers(0, 1 << 63, 5000)
+    hashes = hashes.astype(np.uint64)
+    wanted_rows = [7, 4000, 4001]
+    same_last_24_bits = hashes[7] ^ np.uint64(1 << 40)
+    hashes[100] = same_last_24_bits
+
+    wanted = np.sort(hashes[wanted_rows])
+
+    assert rows_among(hashes, wanted).tolist() == wanted_rows

@@ -15,8 +15,8 @@ from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema
 from unbend.tables.writing import table_of_observations
 
 # 0.1 + 0.5 - 0.5 is not 0.1 in binary: the user's own number must come out, not one computed back.
-X = [0.1, 100.3, 7.0]
-Y = [0.7, -0.1, 11.25]
+X_PX = [0.1, 100.3, 7.0]
+Y_PX = [0.7, -0.1, 11.25]
 
 
 @pytest.mark.parametrize(("origin", "centre"), [("corner", 0.5), ("centre", 0.0)])
@@ -29,22 +29,41 @@ def test_the_centre_of_the_first_pixel_is_half_a_half(origin, centre):
     ("columns", "result"),
     [(OBSERVATION_COLUMNS, "corrected"), (DISPLACED_COLUMNS, "displaced")],
 )
-@pytest.mark.parametrize(("origin", "half"), [("corner", 0.0), ("centre", 0.5)])
+@pytest.mark.parametrize(("origin", "half_px"), [("corner", 0.0), ("centre", 0.5)])
 def test_a_batch_is_in_colmap_s_pixels_and_its_results_in_the_user_s(
-    tmp_path, columns, result, origin, half
+    columns, result, origin, half_px
 ):
-    content = pa.table({"image": ["a"] * 3, "point": ["p"] * 3, "x_px": X, "y_px": Y})
-    observations = opened(tmp_path, content, pixels=PixelSystem(origin))
+    x_px = np.array(X_PX)
+    y_px = np.array(Y_PX)
+    names = ["a"] * 3
+    content = {
+        "image": names,
+        "point": names,
+        "x_px": x_px,
+        "y_px": y_px,
+    }
+    observations = opened(pa.table(content), pixels=PixelSystem(origin))
+
     (batch,) = observations.batches(10)
-    assert_array_equal(batch.x_px, np.array(X) + half)
-    assert_array_equal(batch.y_px, np.array(Y) + half)
-    corrections = dict.fromkeys(COLUMNS, np.full(3, np.nan)) | {"status": np.zeros(3, np.uint8)}
+
+    assert_array_equal(batch.x_px, x_px + half_px)
+    assert_array_equal(batch.y_px, y_px + half_px)
+
+    unknown = np.full(3, np.nan)
+    corrections = dict.fromkeys(COLUMNS, unknown)
+    corrections["status"] = np.zeros(3, np.uint8)
     corrections["x_corrected_px"] = batch.x_px + 2.0
     corrections["y_corrected_px"] = batch.y_px - 3.0
-    schema = schema_of(columns, {})
-    shifted = Corrections(**corrections)
-    table = table_of_observations(batch, shifted, np.zeros(3), observations.pixels, schema)
-    assert table["x_px"].to_pylist() == X  # to the last bit
-    assert table["y_px"].to_pylist() == Y
-    assert_within(table[f"x_{result}_px"], np.array(X) + 2.0, 1e-12)
-    assert_within(table[f"y_{result}_px"], np.array(Y) - 3.0, 1e-12)
+
+    table = table_of_observations(
+        batch,
+        Corrections(**corrections),
+        np.zeros(3),
+        observations.pixels,
+        schema_of(columns, {}),
+    )
+
+    assert table["x_px"].to_pylist() == X_PX  # to the last bit
+    assert table["y_px"].to_pylist() == Y_PX
+    assert_within(table[f"x_{result}_px"], x_px + 2.0, 1e-12)
+    assert_within(table[f"y_{result}_px"], y_px - 3.0, 1e-12)

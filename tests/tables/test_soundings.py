@@ -22,30 +22,35 @@ CELSIUS = 15.0 - 0.0065 * HEIGHT
 HECTOPASCAL = 1013.25 * ((CELSIUS + 273.15) / 288.15) ** 5.255877
 
 
-def write(path: Path, **changes: object) -> Path:
-    variables = {
-        "time_offset": np.arange(6) * 60.0 + 12.5,
-        "lat": np.full(6, 36.6),
-        "lon": np.full(6, -97.5),
-        "pres": HECTOPASCAL,
-        "tdry": CELSIUS,
-        "dp": CELSIUS - 10.0,
-        "rh": np.full(6, 50.0),
-        "alt": HEIGHT,
-    } | changes
+VARIABLES = {
+    "time_offset": np.arange(6) * 60.0 + 12.5,
+    "lat": 36.6,
+    "lon": -97.5,
+    "pres": HECTOPASCAL,
+    "tdry": CELSIUS,
+    "dp": CELSIUS - 10.0,
+    "rh": 50.0,
+    "alt": HEIGHT,
+}
+
+
+def write(name: str, variables=VARIABLES) -> Path:
+    path = Path(name)
     with netcdf_file(path, "w") as file:
         file.createDimension("time", 6)
         base = file.createVariable("base_time", "i", ())
         base[...] = RELEASE_S
         for name, values in variables.items():
-            if values is not None:
-                column = file.createVariable(name, "d", ("time",))
-                column[:] = values
+            column = file.createVariable(name, "d", ("time",))
+            column[:] = values
     return path
 
 
-def test_levels_release_and_place(tmp_path):
-    sounding = read_sounding(write(tmp_path / "sonde.cdf"), Ledger())
+def test_levels_release_and_place():
+    path = write("sonde.cdf")
+
+    sounding = read_sounding(path, Ledger())
+
     assert sounding.time_ns == RELEASE_S * 10**9 + 12_500_000_000
     assert sounding.station == "sonde.cdf"
     assert sounding.temperature_k == pytest.approx(CELSIUS + 273.15)
@@ -55,31 +60,46 @@ def test_levels_release_and_place(tmp_path):
     assert sounding.h_m[4] == pytest.approx(geometric, abs=1)
 
 
-def test_a_fill_value_is_no_reading_and_a_missing_variable_is_refused(tmp_path):
-    filled = np.where(np.arange(6) == 3, -9999.0, CELSIUS)
-    sounding = read_sounding(write(tmp_path / "filled.cdf", tdry=filled), Ledger())
+def test_a_fill_value_is_no_reading():
+    filled = CELSIUS.copy()
+    filled[3] = -9999.0
+    path = write("filled.cdf", VARIABLES | {"tdry": filled})
+
+    sounding = read_sounding(path, Ledger())
+
     assert np.nanmin(sounding.temperature_k) == pytest.approx(CELSIUS.min() + 273.15)
+
+
+def test_a_missing_variable_is_refused():
+    variables = dict(VARIABLES)
+    variables.pop("rh")
+    path = write("without.cdf", variables)
     with pytest.raises(InputError, match="it has no variable rh"):
-        read_sounding(write(tmp_path / "without.cdf", rh=None), Ledger())
+        read_sounding(path, Ledger())
 
 
-def zipped(path: Path, *members: Path) -> Path:
+def zipped(name: str, *members: Path) -> Path:
+    path = Path(name)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for member in members:
             archive.write(member, member.name)
     return path
 
 
-def test_a_station_file_as_it_is_distributed(tmp_path):
-    plain = write(tmp_path / "sonde.cdf")
-    packed = read_sounding(zipped(tmp_path / "sonde.zip", plain), Ledger())
-    assert_array_equal(packed.h_m, read_sounding(plain, Ledger()).h_m)
+def test_a_station_file_as_it_is_distributed():
+    plain = write("sonde.cdf")
+    archive = zipped("sonde.zip", plain)
+
+    sounding = read_sounding(archive, Ledger())
+
+    assert_array_equal(sounding.h_m, read_sounding(plain, Ledger()).h_m)
 
 
-def test_an_archive_that_does_not_hold_one_file_is_refused(tmp_path):
-    plain = write(tmp_path / "sonde.cdf")
-    whole = zipped(tmp_path / "two.zip", plain, write(tmp_path / "other.cdf"))
-    cut = tmp_path / "cut.zip"
+def test_an_archive_that_does_not_hold_one_file_is_refused():
+    first = write("sonde.cdf")
+    second = write("other.cdf")
+    whole = zipped("two.zip", first, second)
+    cut = Path("cut.zip")
     cut.write_bytes(whole.read_bytes()[:-40])
     for path in (whole, cut):
         with refused("SOUNDING-ZIP"):

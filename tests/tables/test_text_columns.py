@@ -2,41 +2,52 @@
 
 from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
+
 import pytest
 
 from tests.helpers import refused
 from unbend.tables.imports.messages import ORIENTATION_NUMBER
 from unbend.tables.text_columns import degrees_of, whole_table
 
+TABLE = Path("t.csv")
 
-def latitudes(path, text: str):
-    path.write_text(text, encoding="utf-8")
-    table = whole_table(path, ORIENTATION_NUMBER, ("image",))
-    return degrees_of(table, "lat", path, ORIENTATION_NUMBER, quantity="latitude")
+
+def latitudes(text: str):
+    TABLE.write_text(text, encoding="utf-8")
+    table = whole_table(TABLE, ORIENTATION_NUMBER, ("image",))
+    return degrees_of(table, "lat", TABLE, ORIENTATION_NUMBER, quantity="latitude")
 
 
 @pytest.mark.parametrize("name", ["lat_ref", "LatRef", "N/S", "lat hemisphere"])
-def test_a_column_of_hemispheres_gives_the_signs(tmp_path, name):
-    rows = "a,33.5,S\nb,33 30 0,South\nc,1.5,N\nd,1.5,\n"
-    values = latitudes(tmp_path / "t.csv", f"image,lat,{name}\n{rows}")
-    assert values == pytest.approx(np.array([-33.5, -33.5, 1.5, 1.5]))
+def test_a_column_of_hemispheres_gives_the_signs(name):
+    text = f"image,lat,{name}\na,33.5,S\nb,33 30 0,South\nc,1.5,N\nd,1.5,\n"
+    values = latitudes(text)
+    assert values.tolist() == pytest.approx([-33.5, -33.5, 1.5, 1.5])
 
 
-def test_another_column_gives_none(tmp_path):
+def test_another_column_gives_none():
     text = "image,lat,lon_ref,N/S\na,33.5,W,5\nb,34.5,W,6\n"
-    assert latitudes(tmp_path / "t.csv", text).tolist() == [33.5, 34.5]
+    values = latitudes(text)
+    assert values.tolist() == [33.5, 34.5]
 
 
-@pytest.mark.parametrize("text", ["image,lat\na,8.5 E\n", "image,lat,lat_ref\na,-33.5,N\n"])
-def test_contradicting_hemispheres_are_refused(tmp_path, text):
+@pytest.mark.parametrize(
+    "text",
+    [
+        "image,lat\na,8.5 E\n",
+        "image,lat,lat_ref\na,-33.5,N\n",
+    ],
+)
+def test_contradicting_hemispheres_are_refused(text):
     with refused("ORIENTATION-NUMBER"):
-        latitudes(tmp_path / "t.csv", text)
+        latitudes(text)
 
 
-def test_comments_between_rows_are_no_rows(tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_text("image,x\na,1\n# second strip\nb,2\n#c,3\n")
-    table = whole_table(path, ORIENTATION_NUMBER, ("image",))
+def test_comments_between_rows_are_no_rows():
+    TABLE.write_text("image,x\na,1\n# second strip\nb,2\n#c,3\n")
+
+    table = whole_table(TABLE, ORIENTATION_NUMBER, ("image",))
+
     assert table["image"].tolist() == ["a", "b", "#c"]
     assert table.index.tolist() == [2, 4, 5]

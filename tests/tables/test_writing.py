@@ -33,18 +33,25 @@ ICAN = standard_atmosphere("ican", index="gyer")
 
 def test_the_profile_stands_beside_the_standard():
     """US 1976 as the profile of a flight whose standard is another: each value in its column."""
+    h_m = 5000.0
     adjustment = replace(unadjusted(US, "a test"), standard=ICAN)
-    table = table_of_profile(adjustment, "flight", [0.0, 5000.0])
-    (_, row) = table.to_pylist()
-    # US 1976, Table I: 255.676 K, 540.48 hPa at 5 km; ICAN: 15 - 32.5 degC, 540.2 hPa.
+
+    table = table_of_profile(adjustment, "flight", [0.0, h_m])
+
+    row = table.to_pylist()[-1]
+    # US 1976, Table I: 255.676 K, 540.48 hPa at 5 km.
     assert row["temperature_k"] == pytest.approx(255.676, abs=1e-3)
     assert row["pressure_pa"] == pytest.approx(54_048.0, abs=2.0)
-    assert row["standard_temperature_k"] == pytest.approx(ICAN.temperature(5000.0), rel=1e-12)
-    assert row["standard_pressure_pa"] == pytest.approx(ICAN.pressure(5000.0), rel=1e-12)
-    assert row["standard_refractivity"] == pytest.approx(ICAN.refractivity(5000.0), rel=1e-12)
-    assert row["refractivity"] == pytest.approx(US.refractivity(5000.0), rel=1e-12)
+    expected = {
+        "standard_temperature_k": ICAN.temperature(h_m),
+        "standard_pressure_pa": ICAN.pressure(h_m),
+        "standard_refractivity": ICAN.refractivity(h_m),
+        "refractivity": US.refractivity(h_m),
+    }
+    for name, value in expected.items():
+        assert row[name] == pytest.approx(value, rel=1e-12)
     assert row["profile_id"] == "flight"
-    assert row["h_m"] == 5000.0
+    assert row["h_m"] == h_m
     assert row["sigma_temperature_k"] is None
     metadata = table.schema.metadata
     assert float(metadata[b"g_phi"]) == US.gravity.g_phi
@@ -52,69 +59,98 @@ def test_the_profile_stands_beside_the_standard():
     assert metadata[b"latitude"] == b""
     assert metadata[b"unbend.standard"] == ICAN.name.encode()
     assert float(metadata[b"unbend.wavelength_m"]) == US.index.wavelength_m
+    assert table.num_rows == 2
 
 
 def test_the_latitude_is_in_degrees():
-    profile = replace(US, gravity=lambert_gravity(math.radians(47.0)))
-    metadata = table_of_profile(unadjusted(profile, "a test"), "flight").schema.metadata
+    gravity = lambert_gravity(math.radians(47.0))
+    adjustment = unadjusted(replace(US, gravity=gravity), "a test")
+
+    metadata = table_of_profile(adjustment, "flight").schema.metadata
+
     assert float(metadata[b"latitude"]) == pytest.approx(47.0)
 
 
 def test_stations_name_the_profile_of_their_own_air():
-    stations = empty_stations(np.array(["a", "b", "c"], object), np.full(3, "cam", object), "ok")
-    stations = replace(stations, status=np.array(["ok", "in_gap", "ok"], object))
-    series = ProfileSeries((TimedProfile(5, US), TimedProfile(7, ICAN)), np.array([1, 0, 0]))
-    profile_ids = table_of_stations(stations, series)["profile_id"].to_pylist()
-    assert profile_ids == ["flight-002", None, "flight-001"]
-    profiles = table_of_profiles(unadjusted(US, "a test"), series, [0.0])
-    assert profiles["profile_id"].to_pylist() == ["flight-001", "flight-002"]
-    assert profiles["temperature_k"].to_pylist() == pytest.approx([288.15, 288.0], abs=1e-9)
-    assert [when.value for when in profiles["time_utc"].to_pylist()] == [5, 7]
+    names = np.array(["a", "b", "c"], object)
+    cameras = np.full(3, "cam", object)
+    stations = replace(
+        empty_stations(names, cameras, "ok"),
+        status=np.array(["ok", "in_gap", "ok"], object),
+    )
+    profiles = TimedProfile(5, US), TimedProfile(7, ICAN)
+    series = ProfileSeries(profiles, np.array([1, 0, 0]))
+
+    images = table_of_stations(stations, series).to_pydict()
+    table = table_of_profiles(unadjusted(US, "a test"), series, [0.0])
+    rows = table.to_pydict()
+
+    assert images["profile_id"] == ["flight-002", None, "flight-001"]
+    assert rows["profile_id"] == ["flight-001", "flight-002"]
+    assert rows["temperature_k"] == pytest.approx([288.15, 288.0], abs=1e-9)
+    assert [time.value for time in rows["time_utc"]] == [5, 7]
 
 
 def test_units_and_conventions_are_in_the_schema():
-    schema = schema_of(OBSERVATION_COLUMNS, {"own": "value"}, [pa.field("users", pa.int8())])
+    users = pa.field("users", pa.int8())
+    schema = schema_of(OBSERVATION_COLUMNS, {"own": "value"}, [users])
+
     assert schema.names[-1] == "users"
-    units = {item.name: item.metadata[b"unit"] for item in schema if item.metadata}
-    for name, unit in units.items():
-        if "_" in name:
-            assert name.endswith(unit.decode() or ("id", "status"))
+    for field in schema:
+        if field.metadata:
+            unit = field.metadata[b"unit"].decode()
+            assert "_" not in field.name or field.name.endswith(unit or ("id", "status"))
     assert b"Hamilton" in schema.metadata[b"unbend.conventions"]
-    for columns in (STATION_COLUMNS, PROFILE_COLUMNS):  # one precision, whatever the quantity
-        kinds = {kind for kind, _, _ in columns.values() if pa.types.is_floating(kind)}
-        assert kinds == {pa.float64()}
     assert schema.metadata[b"own"] == b"value"
+
+
+@pytest.mark.parametrize("columns", [STATION_COLUMNS, PROFILE_COLUMNS])
+def test_one_precision_whatever_the_quantity(columns):
+    kinds = set(schema_of(columns, {}).types)
+    assert set(filter(pa.types.is_floating, kinds)) == {pa.float64()}
 
 
 def test_sigmas_of_the_profile_each_in_its_column():
     """2 K at every edge of the layers and nothing else: 2 K at any height."""
-    k = US.layers.edge.size
-    matrix = np.zeros((2 * k + 1, 2 * k + 1))
-    matrix[:k, :k] = 4.0
+    edges = US.layers.edge.size
+    matrix = np.zeros((2 * edges + 1, 2 * edges + 1))
+    matrix[:edges, :edges] = 4.0
     covariance = ProfileCovariance(US, 0.0, matrix)
+
     table = table_of_profile(
-        unadjusted(US, "a test"), "flight", [1000.0, 4000.0], TimedProfile(None, US, covariance)
+        unadjusted(US, "a test"),
+        "flight",
+        [1000.0, 4000.0],
+        TimedProfile(None, US, covariance),
     )
+
     assert table["sigma_temperature_k"].to_pylist() == pytest.approx([2.0, 2.0])
     # dN / N = -dT / T at one pressure: 2 of 281.65 K at 1 km, less what the column below adds,
     # g / (R T) 1 km = 0.12 of it; at 4 km 2 of 262.2 K, less 0.49 of it.
-    ratio = np.array(table["sigma_refractivity"]) / np.array(table["refractivity"])
-    assert ratio == pytest.approx([2.0 / 281.65 * 0.88, 2.0 / 262.2 * 0.51], rel=0.05)
+    expected = [2.0 / 281.65 * 0.88, 2.0 / 262.2 * 0.51]
+    sigma = np.array(table["sigma_refractivity"])
+    refractivity = np.array(table["refractivity"])
+    assert sigma / refractivity == pytest.approx(expected, rel=0.05)
 
 
 def write_row_groups(folder) -> None:
     """Row groups of 4, some of them empty."""
-    table = pa.table(
-        {
-            "image": [f"image_{i % 3}" for i in range(31)],
-            "point": [f"p{i}" for i in range(31)],
-            "x_px": np.arange(31.0),
-            "y_px": np.arange(31.0) / 7,
-            "own": np.arange(31),
-        }
-    )
+    numbers = range(31)
+    columns = {
+        "image": [f"image_{number % 3}" for number in numbers],
+        "point": [f"p{number}" for number in numbers],
+        "x_px": np.arange(31.0),
+        "y_px": np.arange(31.0) / 7,
+        "own": numbers,
+    }
+    table = pa.table(columns)
     with pq.ParquetWriter(folder / "o.parquet", table.schema) as writer:
-        for part in (table[:12], table[12:30], table[30:]):
+        parts = (
+            table[:12],
+            table[12:30],
+            table[30:],
+        )
+        for part in parts:
             writer.write_table(part, 4)
             writer.write_table(table[:0])
 
@@ -124,27 +160,35 @@ def write_block(folder) -> None:
     model = folder / "block"
     model.mkdir()
     (model / "cameras.txt").write_text("1 SIMPLE_PINHOLE 99 99 50 49 49\n")
-    points = " ".join(f"{i}.5 {i}.25 {i}" for i in range(9))
-    images = [f"{k} 1 0 0 0 0 0 {k} 1 {k}.jpg\n{points}\n" for k in (1, 2, 3)]
+    observations = " ".join(f"{i}.5 {i}.25 {i}" for i in range(9))
+    images = [f"{k} 1 0 0 0 0 0 {k} 1 {k}.jpg\n{observations}\n" for k in (1, 2, 3)]
     (model / "images.txt").write_text("".join(images))
-    tracks = [f"{i} 0 0 {i} 0 0 0 1 1 {i} 2 {i} 3 {i}\n" for i in range(9)]
-    (model / "points3D.txt").write_text("".join(tracks))
+    points = [f"{i} 0 0 {i} 0 0 0 1 1 {i} 2 {i} 3 {i}\n" for i in range(9)]
+    (model / "points3D.txt").write_text("".join(points))
 
 
 @pytest.mark.parametrize(
     ("write", "name", "file_format"),
-    [(write_row_groups, "o.parquet", None), (write_block, "block", "colmap")],
+    [
+        (write_row_groups, "o.parquet", None),
+        (write_block, "block", "colmap"),
+    ],
 )
 def test_a_range_of_parts_is_what_the_whole_has_there(tmp_path, write, name, file_format):
     write(tmp_path)
     observations = open_observations(
-        tmp_path / name, COLUMNS, None, Ledger(), file_format=file_format
+        tmp_path / name,
+        COLUMNS,
+        None,
+        Ledger(),
+        file_format=file_format,
     )
+
     whole = list(observations.batches(4))
+
     for first in range(len(whole) + 1):
         for stop in (*range(first, len(whole) + 1), None):
-            part = list(observations.batches(4, first, stop))
-            assert len(part) == len(whole[first:stop])
+            part = observations.batches(4, first, stop)
             for batch, expected in zip(part, whole[first:stop], strict=True):
                 assert batch.first_row == expected.first_row
                 assert batch.image.equals(expected.image)
@@ -154,17 +198,20 @@ def test_a_range_of_parts_is_what_the_whole_has_there(tmp_path, write, name, fil
 
 
 def test_floats_are_split_by_bytes_and_all_else_has_a_dictionary(tmp_path):
-    table = pa.table(
-        {
-            "wide": np.linspace(0.0, 1.0, 1000),
-            "narrow": np.linspace(0.0, 1.0, 1000, dtype=np.float32),
-            "name": [f"p{i % 9}" for i in range(1000)],
-            "count": np.arange(1000) % 7,
-            "pair": [{"a": 1.5, "b": "x"}] * 1000,
-        }
-    )
-    write_parquet(table, tmp_path / "table.parquet")
-    with pq.ParquetFile(tmp_path / "table.parquet", page_checksum_verification=True) as file:
+    path = tmp_path / "table.parquet"
+    wide = np.linspace(0.0, 1.0, 1000)
+    columns = {
+        "wide": wide,
+        "narrow": wide.astype(np.float32),
+        "name": [f"p{i % 9}" for i in range(1000)],
+        "count": np.arange(1000) % 7,
+        "pair": [{"a": 1.5, "b": "x"}] * 1000,
+    }
+    table = pa.table(columns)
+
+    write_parquet(table, path)
+
+    with pq.ParquetFile(path, page_checksum_verification=True) as file:
         assert file.read().equals(table)
         group = file.metadata.row_group(0)
     split = set()
@@ -183,13 +230,18 @@ def test_floats_are_split_by_bytes_and_all_else_has_a_dictionary(tmp_path):
 def test_what_was_read_of_a_large_table_does_not_stay_in_memory(tmp_path):
     path = tmp_path / "large.parquet"
     rows = 400_000
-    x, y = np.random.default_rng(0).uniform(0.0, 1000.0, (2, rows))
-    names = pa.array(["a"] * rows)
-    content = pa.table({"image": names, "point": names, "x_px": x, "y_px": y})
-    pq.write_table(content, path, row_group_size=10_000)
+    rng = np.random.default_rng(0)
+    names = ["a"] * rows
+    columns = {
+        "image": names,
+        "point": names,
+        "x_px": rng.uniform(0.0, 1000.0, rows),
+        "y_px": rng.uniform(0.0, 1000.0, rows),
+    }
+    pq.write_table(pa.table(columns), path, row_group_size=10_000)
     observations = open_observations(path, COLUMNS, None, Ledger())
+
     before = pa.total_allocated_bytes()
-    most = 0
     for _ in observations.batches(10_000):
-        most = max(most, pa.total_allocated_bytes() - before)
-    assert most < path.stat().st_size / 2
+        allocated = pa.total_allocated_bytes() - before
+        assert allocated < path.stat().st_size / 2

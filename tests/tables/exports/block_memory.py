@@ -19,7 +19,15 @@ from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import ExportCamera
 
-CAMERA = Camera(14000, 10600, 20000.0, 20000.0, 7000.0, 5300.0, BrownConrady(k1=-0.01))
+CAMERA = Camera(
+    width_px=14000,
+    height_px=10600,
+    fx_px=20000.0,
+    fy_px=20000.0,
+    cx_px=7000.0,
+    cy_px=5300.0,
+    distortion=BrownConrady(k1=-0.01),
+)
 POINTS = 400
 IMAGES = 4
 
@@ -51,17 +59,17 @@ def write(name: str, rows: int, folder: Path) -> None:
         row = np.arange(first, min(first + 50_000, rows))
         # A hundred points begin in every image, and go on in the next three.
         point = row // POINTS * (POINTS // IMAGES) + row % POINTS
-        x, y = rng.uniform(0.0, [[14000.0], [10600.0]], (2, row.size))
         columns = {
             "image": images[row // POINTS],
             "point": [f"point-{p:07d}" for p in point],
-            "x_corrected_px": x,
-            "y_corrected_px": y,
+            "x_corrected_px": rng.uniform(0.0, 14000.0, row.size),
+            "y_corrected_px": rng.uniform(0.0, 10600.0, row.size),
             "h_g_m": np.zeros(row.size),
             "status": ["ok"] * row.size,
         }
-        parts.append(folder / f"part-{first:09d}.parquet")
-        pq.write_table(pa.table(columns), parts[-1])
+        part = folder / f"part-{first:09d}.parquet"
+        pq.write_table(pa.table(columns), part)
+        parts.append(part)
     cameras = {"nadir": ExportCamera(CAMERA, False, 0.004)}
     run = finished_run(stations, turns, cameras, 0.0, parts=tuple(parts))
     before = peak_mb()

@@ -13,10 +13,11 @@ import pyproj
 from pyarrow.csv import ConvertOptions, read_csv
 from scipy.spatial.transform import Rotation
 
+from tests.helpers import with_code
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.flight.stations import Stations, empty_stations
-from unbend.messages import Ledger
+from unbend.messages import Ledger, Message
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
 from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
@@ -25,6 +26,7 @@ from unbend.tables.pixels import PixelSystem
 AIR = standard_atmosphere("us1976")
 DOWN = np.diag([1.0, -1.0, -1.0])
 """From east, north, up to a camera that looks down with north above; or photogrammetry's axes."""
+HERE = Path()
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 
 
@@ -35,7 +37,8 @@ def ecef_of(lon, lat, h) -> np.ndarray:
 
 def enu_axes(lon: float, lat: float) -> np.ndarray:
     """(3, 3) from earth-centred axes to east, north, up."""
-    return Rotation.from_euler("ZX", [90.0 + lon, 90.0 - lat], degrees=True).as_matrix().T
+    to_ecef = Rotation.from_euler("ZX", [90.0 + lon, 90.0 - lat], degrees=True)
+    return to_ecef.as_matrix().T
 
 
 def rotation_to_photo(angles: pd.Series) -> np.ndarray:
@@ -56,9 +59,9 @@ def quaternions_of(turns) -> np.ndarray:
     """(n, 4), NaN where a turn is unknown."""
     turns = np.asarray(turns)
     quaternions = np.full((len(turns), 4), np.nan)
-    known = np.isfinite(turns).all(axis=(1, 2))
-    rotation = Rotation.from_matrix(turns[known])
-    quaternions[known] = rotation.as_quat(canonical=True, scalar_first=True)
+    has_turn = np.isfinite(turns).all(axis=(1, 2))
+    rotation = Rotation.from_matrix(turns[has_turn])
+    quaternions[has_turn] = rotation.as_quat(canonical=True, scalar_first=True)
     return quaternions
 
 
@@ -128,9 +131,9 @@ class Written:
         """Kind, code and count of each message."""
         return [(message.kind, message.code, message.count) for message in self.ledger]
 
-    def message(self, code: str):
+    def message(self, code: str) -> Message:
         """The only message of this code."""
-        (message,) = [message for message in self.ledger if message.code == code]
+        (message,) = with_code(self.ledger, code)
         return message
 
     def table(self) -> pd.DataFrame:
@@ -147,11 +150,11 @@ def read_table(path: Path) -> pd.DataFrame:
     return read_csv(path, convert_options=options).to_pandas()
 
 
-def write_export(run: FinishedRun, name: str, folder: Path, **values: object) -> Written:
+def write_export(run: FinishedRun, name: str, folder: Path = HERE, **values: object) -> Written:
     """Write a format under a name that is new in the folder."""
     form = FORMATS[name]
     number = len(list(folder.iterdir()))
-    path = folder / f"out{number}{form.ending}"
+    path = folder.absolute() / f"out{number}{form.ending}"
     if not form.ending:
         path.mkdir()
     ledger = Ledger()

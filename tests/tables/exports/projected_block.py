@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,16 +33,29 @@ from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import ExportCamera, FinishedRun
 
 NADIR = Camera(
-    14000,
-    10600,
-    20000.0,
-    20010.0,
-    7012.4,
-    5291.7,
-    BrownConrady(-0.018, 0.009, -0.002, 1.5e-4, -1e-4),
+    width_px=14000,
+    height_px=10600,
+    fx_px=20000.0,
+    fy_px=20010.0,
+    cx_px=7012.4,
+    cy_px=5291.7,
+    distortion=BrownConrady(
+        k1=-0.018,
+        k2=0.009,
+        k3=-0.002,
+        p1=1.5e-4,
+        p2=-1e-4,
+    ),
 )
 SQUARE = replace(NADIR, fy_px=NADIR.fx_px)
-SIDE = Camera(9000, 12000, 15000.0, 15000.0, 4500.0, 6010.0)
+SIDE = Camera(
+    width_px=9000,
+    height_px=12000,
+    fx_px=15000.0,
+    fy_px=15000.0,
+    cx_px=4500.0,
+    cy_px=6010.0,
+)
 
 IMAGES = 12
 POINTS = 400
@@ -52,14 +66,16 @@ SIGMA_HORIZONTAL = 0.03
 SIGMA_HEIGHT = 0.05
 
 
-def distorted(camera: Camera, u, v):
+def distorted(camera, u, v):
     """OpenCV's formulas."""
     k1, k2, k3, p1, p2 = camera.distortion
     r2 = u * u + v * v
     radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
     x = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
     y = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v
-    return camera.fx_px * x + camera.cx_px, camera.fy_px * y + camera.cy_px
+    x_px = camera.fx_px * x + camera.cx_px
+    y_px = camera.fy_px * y + camera.cy_px
+    return x_px, y_px
 
 
 class Frame:
@@ -79,15 +95,21 @@ class Frame:
 
 def frame_of(written: Written) -> Frame:
     """The frame whose origin the ledger states."""
-    what = written.message("EXPORT-FRAME").what
-    assert "neither earth curvature nor a map projection is applied" in what
-    return Frame(re.findall(r"(-?[0-9.]+) (?:N|E|m above)", what))
+    message = written.message("EXPORT-FRAME").what
+    assert "neither earth curvature nor a map projection is applied" in message
+    return Frame(re.findall(r"(-?[0-9.]+) (?:N|E|m above)", message))
 
 
 def point_names(folder: Path) -> dict[int, str]:
-    """Names of the points that are no numbers, by the numbers they have in the files."""
+    """Names of the points that are not numbers, by the numbers they have in the files."""
     table = read_table(folder / "points.csv")
     return dict(zip(table.id, table.point, strict=True))
+
+
+def names_of_points(folder: Path, numbers: Iterable[int]) -> list[str]:
+    """Names of points by their numbers in the files; those without one are called by the number."""
+    names = point_names(folder)
+    return [names.get(number, str(number)) for number in numbers]
 
 
 class Block:
@@ -99,44 +121,61 @@ class Block:
     def __init__(self, folder: Path, nadir: Camera = NADIR) -> None:
         rng = np.random.default_rng(11)
         number = np.arange(IMAGES)
+        is_side = number % 2
         self.folder = folder
         self.numbers = itertools.count()
-        self.cameras = {"nadir": nadir, "side": SIDE}
+        self.cameras = {
+            "nadir": ExportCamera(nadir, False),
+            "side": ExportCamera(SIDE, False),
+        }
         self.image = np.array([f"strip_{i // 6}/{i:04d}.tif" for i in number], object)
-        self.camera = np.where(number % 2 == 0, "nadir", "side").astype(object)
+        self.camera = np.array(["nadir", "side"], object)[is_side]
         self.lon = 8.0 + 0.03 * (number // 2)
-        self.lat = 47.0 + 0.01 * (number % 2)
+        self.lat = 47.0 + 0.01 * is_side
         self.h = H_MSL + UNDULATION + rng.uniform(-50, 50, IMAGES)
         self.centre = ecef_of(self.lon, self.lat, self.h)
-        tilt = 20.0 * (number % 2) + rng.uniform(-2, 2, IMAGES)
+        tilt = 20.0 * is_side + rng.uniform(-2, 2, IMAGES)
         yaw = rng.uniform(0, 360, IMAGES)
         roll = rng.uniform(-2, 2, IMAGES)
         angles = np.stack([yaw, tilt, roll], axis=1)
+        turned_from_down = Rotation.from_euler("zxy", angles, degrees=True)
         # From east, north, up at each station to the camera.
-        self.turn = Rotation.from_euler("zxy", angles, degrees=True).as_matrix() @ DOWN
-        lon, lat = rng.uniform([7.97, 46.97], [8.18, 47.04], (POINTS, 2)).T
+        self.turn = turned_from_down.as_matrix() @ DOWN
+
+        south_west = [7.97, 46.97]
+        north_east = [8.18, 47.04]
+        lon, lat = rng.uniform(south_west, north_east, (POINTS, 2)).T
         height = rng.uniform(GROUND, GROUND + 200.0, POINTS)
-        self.point = np.array([str(7 * i + 5) if i % 3 else f"p{i}" for i in range(POINTS)], object)
-        self.place = dict(zip(self.point, ecef_of(lon, lat, height + UNDULATION), strict=True))
-        seen = [self.seen_in(i, height) for i in range(IMAGES)]
-        self.rows = pd.concat(seen).sample(frac=1.0, random_state=11, ignore_index=True)
+        names = [str(7 * i + 5) if i % 3 else f"p{i}" for i in range(POINTS)]
+        self.points = pd.DataFrame({"point": names, "h_g_m": height})
+        places = ecef_of(lon, lat, height + UNDULATION)
+        self.place = dict(zip(names, places, strict=True))
+
+        rows = pd.concat([self.seen_in(i) for i in range(IMAGES)])
+        self.rows = rows.sample(frac=1.0, random_state=11, ignore_index=True)
         images_of_point = self.rows.point.value_counts()
         self.tied = set(images_of_point.index[images_of_point > 1])
 
-    def seen_in(self, i: int, height: np.ndarray) -> pd.DataFrame:
+    def seen_in(self, i: int) -> pd.DataFrame:
         """The points of an image."""
-        camera = self.cameras[self.camera[i]]
-        enu = (np.array(list(self.place.values())) - self.centre[i]) @ enu_axes(
-            self.lon[i], self.lat[i]
-        ).T
-        rays = enu @ self.turn[i].T
+        camera = self.cameras[self.camera[i]].camera
+        axes = enu_axes(self.lon[i], self.lat[i])
+        steps = self.places(self.points.point) - self.centre[i]
+        rays = steps @ axes.T @ self.turn[i].T
         u = rays[:, 0] / rays[:, 2]
         v = rays[:, 1] / rays[:, 2]
         x, y = distorted(camera, u, v)
-        columns = {"point": self.point, "x_px": x, "y_px": y, "h_g_m": height, "u": u, "v": v}
-        rows = pd.DataFrame({"image": self.image[i], **columns})
-        is_inside = (x > 0) & (x < camera.width_px) & (y > 0) & (y < camera.height_px)
-        return rows[is_inside & (rays[:, 2] > 0)]
+        rows = self.points.assign(
+            image=self.image[i],
+            x_px=x,
+            y_px=y,
+            u=u,
+            v=v,
+        )
+        is_before = rays[:, 2] > 0
+        is_in_width = (x > 0) & (x < camera.width_px)
+        is_in_height = (y > 0) & (y < camera.height_px)
+        return rows[is_before & is_in_width & is_in_height]
 
     @property
     def ordered(self) -> pd.DataFrame:
@@ -153,13 +192,21 @@ class Block:
     def axes(self, frame: Frame) -> np.ndarray:
         """(n, 3, 3) from a frame to east, north, up at each station."""
         axes = []
-        for lon, lat, centre in zip(self.lon, self.lat, self.centre, strict=True):
-            ends = frame(centre + 1e3 * enu_axes(lon, lat))
+        for lon, lat, centre in zip(
+            self.lon,
+            self.lat,
+            self.centre,
+            strict=True,
+        ):
+            steps_of_1_km = 1e3 * enu_axes(lon, lat)
+            ends = frame(centre + steps_of_1_km)
             axes.append((ends - frame(centre[None])) * 1e-3)
         return np.array(axes)
 
     def run(self, rows: pd.DataFrame | None = None, **changes) -> FinishedRun:
         """The finished run of all rows, or of others, as two files as it writes them."""
+        if rows is None:
+            rows = self.rows
         stations = stations_at(
             self.image,
             self.camera,
@@ -171,13 +218,15 @@ class Block:
             sigma_horizontal_m=np.full(IMAGES, SIGMA_HORIZONTAL),
             sigma_height_m=np.full(IMAGES, SIGMA_HEIGHT),
         )
-        rows = self.rows if rows is None else rows
         run = finished_run(
             stations,
             self.turn,
-            {name: ExportCamera(camera, False) for name, camera in self.cameras.items()},
+            self.cameras,
             GROUND,
-            parts=(self.part_of(rows[:300]), self.part_of(rows[300:])),
+            parts=(
+                self.part_of(rows[:300]),
+                self.part_of(rows[300:]),
+            ),
         )
         return replace(run, **changes)
 
@@ -189,18 +238,22 @@ class Block:
             "x_corrected_px": rows.x_px - 0.5,
             "y_corrected_px": rows.y_px - 0.5,
             "h_g_m": rows.h_g_m,
-            "status": rows.get("status", pd.Series("ok", index=rows.index)),
+            "status": rows.get("status", ["ok"] * len(rows)),
         }
         pq.write_table(pa.table(columns), path)
         return path
 
+    def with_stations(self, rows: pd.DataFrame | None = None, **columns) -> FinishedRun:
+        """The run with other values of its stations."""
+        run = self.run(rows)
+        return replace(run, stations=replace(run.stations, **columns))
+
     def renamed(self, names) -> FinishedRun:
         """The run with other names of the images."""
-        new = dict(zip(self.image, names, strict=True))
-        run = self.run(self.rows.assign(image=self.rows.image.map(new)))
-        stations = replace(run.stations, image=np.array(names, object))
-        return replace(run, stations=stations)
+        new_names = dict(zip(self.image, names, strict=True))
+        rows = self.rows.assign(image=self.rows.image.map(new_names))
+        return self.with_stations(rows, image=np.array(names, object))
 
-    def with_side_camera(self, camera: Camera) -> FinishedRun:
-        run = self.run()
-        return replace(run, cameras={**run.cameras, "side": ExportCamera(camera, False)})
+    def with_side_camera(self, camera: Camera, rows: pd.DataFrame | None = None) -> FinishedRun:
+        side = ExportCamera(camera, False)
+        return self.run(rows, cameras=self.cameras | {"side": side})

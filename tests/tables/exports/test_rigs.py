@@ -49,9 +49,14 @@ def source(tmp_path):
 
 def test_a_rig_keeps_its_sensors_and_frames(source):
     """Images and cameras have other numbers here; b2 is left out, and c is alone."""
-    block = exported(["c", "b1", "a1", "a0", "b0", "a2"], [0, 1, 2, 2, 1, 2])
+    block = exported(
+        ["c", "b1", "a1", "a0", "b0", "a2"],
+        [0, 1, 2, 2, 1, 2],
+    )
     ledger = Ledger()
+
     tables = rig_tables(block, source, ledger)
+
     assert tables["rigs"] == [(1, 3, 0), (2, 1, 0)]
     assert tables["rig_sensors"] == [(1, 2, 0, POSE)]
     assert tables["frames"] == [(1, 1), (2, 1), (3, 1), (4, 2)]
@@ -72,14 +77,26 @@ def test_a_rig_keeps_its_sensors_and_frames(source):
 @pytest.mark.parametrize(
     ("images", "cameras", "rigs"),
     [
-        (["b0", "b1", "c"], [0, 0, 1], [(1, 1, 0), (2, 2, 0)]),
-        (["a0", "b0"], [0, 0], [(1, 1, 0)]),
+        pytest.param(
+            ["b0", "b1", "c"],
+            [0, 0, 1],
+            [(1, 1, 0), (2, 2, 0)],
+            id="its reference is left out",
+        ),
+        pytest.param(
+            ["a0", "b0"],
+            [0, 0],
+            [(1, 1, 0)],
+            id="its cameras are one in the mission",
+        ),
     ],
-    ids=["its reference is left out", "its cameras are one in the mission"],
 )
 def test_a_rig_that_cannot_be_kept_is_said(source, images, cameras, rigs):
+    block = exported(images, cameras)
     ledger = Ledger()
-    tables = rig_tables(exported(images, cameras), source, ledger)
+
+    tables = rig_tables(block, source, ledger)
+
     assert tables["rigs"] == rigs
     assert "rig_sensors" not in tables
     assert len(tables["frames"]) == len(images)
@@ -89,7 +106,8 @@ def test_a_rig_that_cannot_be_kept_is_said(source, images, cameras, rigs):
 
 
 def test_without_a_source_every_image_is_a_frame():
-    tables = rig_tables(exported(["a", "b", "c"], [0, 1, 0]), None, Ledger())
+    block = exported(["a", "b", "c"], [0, 1, 0])
+    tables = rig_tables(block, None, Ledger())
     assert tables["rigs"] == [(1, 1, 0), (2, 2, 0)]
     assert tables["frames"] == [(1, 1), (2, 2), (3, 1)]
     assert tables["frame_data"] == [(1, 1, 1, 0), (2, 2, 2, 0), (3, 3, 1, 0)]

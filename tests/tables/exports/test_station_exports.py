@@ -34,9 +34,23 @@ from unbend.tables.exports.export_frames import origin_of
 from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import read_orientation
 
-CAMERA = Camera(1000, 800, 900.0, 880.0, 510.0, 395.0, BrownConrady(k1=-0.02, p1=1e-3))
-CORNERS = np.array([[0.0, 0.0], [0.0, 800.0], [1000.0, 800.0], [1000.0, 0.0]])
+CAMERA = Camera(
+    width_px=1000,
+    height_px=800,
+    fx_px=900.0,
+    fy_px=880.0,
+    cx_px=510.0,
+    cy_px=395.0,
+    distortion=BrownConrady(k1=-0.02, p1=1e-3),
+)
+CORNERS = [
+    [0.0, 0.0],
+    [0.0, 800.0],
+    [1000.0, 800.0],
+    [1000.0, 0.0],
+]
 NAMES = ["a,b.tif", '<c> & "d".tif', "e\x01.tif", "over the horizon", "nowhere"]
+STATUS = ["ok", "suspect", "ok", "ok", "in_gap"]
 COUNT = len(NAMES)
 LAT = np.array([47.0, 47.05, -33.0, 47.0, np.nan])
 LON = np.array([8.0, 8.1, 179.999, 8.0, np.nan])
@@ -45,20 +59,29 @@ H_ELLIPSOID = 3048.0
 GROUND = 400.0
 GROUND_ELLIPSOID = 448.0
 # Level to the north; yawed, banked; to the east near the 180th meridian; far too oblique.
-TURNS = np.array(
+TURNED_FROM_DOWN = Rotation.from_euler(
+    "zyx",
     [
-        DOWN,
-        Rotation.from_euler("zyx", [70.0, -20.0, 15.0], degrees=True).as_matrix() @ DOWN,
-        Rotation.from_euler("z", 90.0, degrees=True).as_matrix() @ DOWN,
-        Rotation.from_euler("x", 75.0, degrees=True).as_matrix() @ DOWN,
-        np.full((3, 3), np.nan),
-    ]
+        [0.0, 0.0, 0.0],
+        [70.0, -20.0, 15.0],
+        [90.0, 0.0, 0.0],
+        [0.0, 0.0, 75.0],
+    ],
+    degrees=True,
 )
+TURNS = np.full((COUNT, 3, 3), np.nan)
+TURNS[:4] = TURNED_FROM_DOWN.as_matrix() @ DOWN
+OK = [0, 2, 3]  # stations that can be used, without the suspect one
+NAMES_OF_OK = [NAMES[number] for number in OK]
 
 
 @pytest.fixture(scope="module")
 def run() -> FinishedRun:
-    status = np.array(["ok", "suspect", "ok", "ok", "in_gap"], object)
+    status = np.array(STATUS, object)
+    suspect_reason = np.full(COUNT, "", object)
+    suspect_reason[1] = "no fix"
+    suspect_m = np.full(COUNT, np.nan)
+    suspect_m[1] = 77.0
     stations = stations_at(
         NAMES,
         "nadir",
@@ -71,156 +94,210 @@ def run() -> FinishedRun:
         time_ns=np.full(COUNT, 1_749_718_800_500_000_000),
         sigma_horizontal_m=np.full(COUNT, 0.5),
         sigma_tilt_rad=np.full(COUNT, np.radians(0.25)),
-        suspect_reason=np.array(["", "no fix", "", "", ""], object),
-        suspect_m=np.array([np.nan, 77.0, np.nan, np.nan, np.nan]),
+        suspect_reason=suspect_reason,
+        suspect_m=suspect_m,
     )
     cameras = {"nadir": ExportCamera(CAMERA, False)}
     run = finished_run(stations, TURNS, cameras, GROUND, mission="<survey>")
     usable = status != "in_gap"  # as where suspect ones are used
-    return replace(run, exposures=replace(run.exposures, usable=usable))
+    exposures = replace(run.exposures, usable=usable)
+    return replace(run, exposures=exposures)
 
 
-def assert_shows(corners: np.ndarray, station: int) -> None:
-    """The ground at the corners of a footprint is what the corners of the image see."""
-    ground = ecef_of(corners[:, 0], corners[:, 1], np.full(4, GROUND_ELLIPSOID))
-    step = ground - ecef_of(LON[station], LAT[station], H_ELLIPSOID)
-    rays = step @ enu_axes(LON[station], LAT[station]).T @ TURNS[station].T
-    pixels = CAMERA.project(rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2])
-    assert_within(np.stack(pixels, axis=1), CORNERS, 0.1)
+def assert_footprints_show_the_images(polygons) -> None:
+    """The ground at the corners of each footprint is what the corners of its image see."""
+    assert len(polygons) == 3
+    for station, polygon in enumerate(polygons):
+        lon, lat = polygon.exterior.coords.xy[:2]
+        ground = ecef_of(lon[:4], lat[:4], [GROUND_ELLIPSOID] * 4)
+        step = ground - ecef_of(LON[station], LAT[station], H_ELLIPSOID)
+        axes = enu_axes(LON[station], LAT[station])
+        x, y, z = TURNS[station] @ axes @ step.T
+        pixels = CAMERA.project(x / z, y / z)
+        assert_within(np.transpose(pixels), CORNERS, 0.1)
 
 
 # ---------------------------------------------------------------- places and footprints
 
 
-def test_geojson_read_by_gdal(run, tmp_path):
-    written = write_export(run, "geojson", tmp_path)
+def assert_stations_of_four(stations, h_m: float, rtol: float) -> None:
+    assert_allclose(stations.geometry.x, LON[:4], rtol=rtol)
+    assert_allclose(stations.geometry.y, LAT[:4], rtol=rtol)
+    assert_allclose(stations.geometry.z, h_m)
+
+
+LOSSES = [
+    ("loss", "EXPORT-NO-GROUND", 1),
+    ("loss", "EXPORT-LEFT-OUT", 1),
+]
+
+
+def test_geojson_read_by_gdal(run):
+    written = write_export(run, "geojson")
+
     features = geopandas.read_file(written.path)
-    assert written.count == len(features) == 4 + 3
-    assert features.crs.to_epsg() == 4326
     stations = features[features["kind"] == "station"]
-    assert stations["image"].tolist() == NAMES[:4]
-    assert_allclose(stations.geometry.x, LON[:4], rtol=1e-12)
-    assert_allclose(stations.geometry.y, LAT[:4], rtol=1e-12)
-    assert_allclose(stations.geometry.z, H_ELLIPSOID)
-    assert stations["status"].tolist() == ["ok", "suspect", "ok", "ok"]
-    assert stations["suspect_m"].iloc[1] == 77.0
     grounds = features[features["kind"] == "footprint"]
+
+    assert written.count == len(features) == 4 + 3
+    assert written.counts == LOSSES
+    assert features.crs.to_epsg() == 4326
+    assert stations["image"].tolist() == NAMES[:4]
+    assert_stations_of_four(stations, H_ELLIPSOID, rtol=1e-12)
+    assert stations["status"].tolist() == STATUS[:4]
+    assert stations["suspect_m"].iloc[1] == 77.0
     assert grounds["image"].tolist() == NAMES[:3]
     assert (grounds["h_g_m"] == GROUND).all()
-    for station, polygon in enumerate(grounds.geometry):
-        assert polygon.exterior.is_ccw, "RFC 7946, 3.1.6"
-        assert_shows(np.array(polygon.exterior.coords)[:4, :2], station)
+    assert_footprints_show_the_images(grounds.geometry)
+    assert grounds.geometry.exterior.is_ccw.all(), "RFC 7946, 3.1.6"
     # Across the 180th meridian the polygon stays in one piece.
     assert grounds.geometry.iloc[2].bounds[2] > 180.0
-    assert written.counts == [("loss", "EXPORT-NO-GROUND", 1), ("loss", "EXPORT-LEFT-OUT", 1)]
-    first = json.loads(written.path.read_text())["features"][0]["properties"]
-    assert first["time_utc"] == "2025-06-12T09:00:00.500000000Z"
+    first = json.loads(written.path.read_text())["features"][0]
+    assert first["properties"]["time_utc"] == "2025-06-12T09:00:00.500000000Z"
 
 
-def test_heights_that_are_not_known(run, tmp_path):
+def test_heights_that_are_not_known(run):
     """Without the ellipsoid no third coordinate; without ground no footprint, and a loss."""
-    stations = replace(run.stations, h_ellipsoid_m=np.full(COUNT, np.nan))
-    flat = replace(run, stations=stations, find_ground=lambda _: np.full(COUNT, np.nan))
-    written = write_export(flat, "geojson", tmp_path)
+    unknown = np.full(COUNT, np.nan)
+    stations = replace(run.stations, h_ellipsoid_m=unknown)
+    flat = replace(run, stations=stations, find_ground=lambda _: unknown)
+
+    written = write_export(flat, "geojson")
+    angles = write_export(flat, "opk")
+
     text = written.path.read_text()
     first = json.loads(text)["features"][0]
     assert written.count == 4
     assert first["geometry"]["coordinates"] == pytest.approx([8.0, 47.0])
     assert "NaN" not in text
     assert ("loss", "EXPORT-NO-GROUND", 4) in written.counts
-    angles = write_export(flat, "opk", tmp_path)
     assert angles.count == 0
     assert angles.counts == [("loss", "EXPORT-LEFT-OUT", COUNT)]
 
 
-def test_kml_read_by_gdal(run, tmp_path):
+def test_kml_read_by_gdal(run):
     """Heights of KML count from the sea; names survive, control characters do not."""
-    written = write_export(run, "kml", tmp_path)
+    written = write_export(run, "kml")
+
     stations = geopandas.read_file(written.path, layer="stations")
     grounds = geopandas.read_file(written.path, layer="footprints")
+    text = written.path.read_text(encoding="utf-8")
+
     assert written.count == len(stations) + len(grounds) == 4 + 3
+    assert written.counts == LOSSES
     assert stations["Name"].tolist() == [*NAMES[:2], "e\ufffd.tif", NAMES[3]]
-    assert_allclose(stations.geometry.x, LON[:4], rtol=1e-9)
-    assert_allclose(stations.geometry.y, LAT[:4], rtol=1e-9)
-    assert_allclose(stations.geometry.z, H_MSL)
+    assert_stations_of_four(stations, H_MSL, rtol=1e-9)
     descriptions = stations.filter(regex="(?i)^description$")
     assert descriptions.iloc[1, 0] == "nadir, suspect, no fix"
-    for station, polygon in enumerate(grounds.geometry):
-        assert_shows(np.array(polygon.exterior.coords)[:4, :2], station)
-    text = written.path.read_text(encoding="utf-8")
+    assert_footprints_show_the_images(grounds.geometry)
     assert "<altitudeMode>absolute</altitudeMode>" in text
     assert "<when>2025-06-12T09:00:00.500Z</when>" in text
     assert "&lt;survey&gt;" in text
-    assert written.counts == [("loss", "EXPORT-NO-GROUND", 1), ("loss", "EXPORT-LEFT-OUT", 1)]
 
 
 # ---------------------------------------------------------------- omega, phi, kappa
 
 
-def test_angles_against_the_horizon_of_each_station(run, tmp_path):
-    written = write_export(run, "opk", tmp_path)
+def rotations_to_photos(table) -> list[np.ndarray]:
+    return [rotation_to_photo(row) for _, row in table.iterrows()]
+
+
+def test_angles_against_the_horizon_of_each_station(run):
+    written = write_export(run, "opk")
+
     table = written.table()
-    assert table.image.tolist() == [NAMES[0], *NAMES[2:4]], "no suspect one"
+    assert table.image.tolist() == NAMES_OF_OK, "no suspect one"
     assert ",".join(table.columns) == (
         "image,camera,status,time_utc,lat_deg,lon_deg,h_ellipsoid_m,omega_deg,phi_deg,kappa_deg,"
         "sigma_horizontal_m,sigma_height_m,sigma_tilt_deg,sigma_yaw_deg"
     )
-    used = [0, 2, 3]
-    photos = [rotation_to_photo(row) for _, row in table.iterrows()]
     # The photo's y is up and its z backward.
-    assert_within(photos, DOWN @ TURNS[used], 1e-12)
-    assert table.lat_deg.tolist() == pytest.approx(LAT[used])
-    assert table.lon_deg.tolist() == pytest.approx(LON[used])
+    assert_within(rotations_to_photos(table), DOWN @ TURNS[OK], 1e-12)
+    assert table.lat_deg.tolist() == pytest.approx(LAT[OK])
+    assert table.lon_deg.tolist() == pytest.approx(LON[OK])
     assert (table.h_ellipsoid_m == H_ELLIPSOID).all()
     assert (table.sigma_horizontal_m == 0.5).all()
     assert table.sigma_tilt_deg.tolist() == pytest.approx([0.25] * 3)
     assert written.counts == [("loss", "EXPORT-LEFT-OUT", 2)]
 
 
-def test_a_suspect_station_that_is_used_is_marked(run, tmp_path):
-    stations = replace(run.stations, accepted=np.array(run.stations.status == "suspect"))
-    table = write_export(replace(run, stations=stations), "opk", tmp_path).table()
-    assert table.status.tolist() == ["ok", "suspect", "ok", "ok"]
+def test_a_suspect_station_that_is_used_is_marked(run):
+    accepted = np.array(run.stations.status == "suspect")
+    stations = replace(run.stations, accepted=accepted)
+
+    written = write_export(replace(run, stations=stations), "opk")
+
+    assert written.table().status.tolist() == STATUS[:4]
 
 
 @pytest.mark.parametrize(
     ("lat", "lon", "h", "origin"),
     [
-        ([10.0, 20.0, 10.0], [5.0, 6.0, 5.0], [100.0, 300.0, 100.0], [15.0, 5.5, 200.0]),
-        ([47.0, 47.000013], [8.0, 8.000007], [100.0, 301.3], [47.00001, 8.0, 201.0]),
-        ([-17.0, -16.0], [179.99, -179.97], [0.0, 0.0], [-16.5, 180.01, 0.0]),
-        ([-17.0, -16.0], [-179.97, 179.99], [0.0, 0.0], [-16.5, -179.99, 0.0]),
+        pytest.param(
+            [10.0, 20.0, 10.0],
+            [5.0, 6.0, 5.0],
+            [100.0, 300.0, 100.0],
+            [15.0, 5.5, 200.0],
+            id="middle, not mean",
+        ),
+        pytest.param(
+            [47.0, 47.000013],
+            [8.0, 8.000007],
+            [100.0, 301.3],
+            [47.00001, 8.0, 201.0],
+            id="rounded",
+        ),
+        pytest.param(
+            [-17.0, -16.0],
+            [179.99, -179.97],
+            [0.0, 0.0],
+            [-16.5, 180.01, 0.0],
+            id="across 180 degrees",
+        ),
+        pytest.param(
+            [-17.0, -16.0],
+            [-179.97, 179.99],
+            [0.0, 0.0],
+            [-16.5, -179.99, 0.0],
+            id="across it from the other side",
+        ),
     ],
-    ids=["middle, not mean", "rounded", "across 180 degrees", "across it from the other side"],
 )
 def test_the_origin_is_the_middle(lat, lon, h, origin):
-    made = origin_of(np.radians(lat), np.radians(lon), np.array(h))
-    assert_within(made, origin, 1e-9)
+    middle = origin_of(np.radians(lat), np.radians(lon), np.array(h))
+    assert_within(middle, origin, 1e-9)
 
 
-def test_positions_and_angles_in_one_frame(block, tmp_path):
+def test_positions_and_angles_in_one_frame(block):
     """Against PROJ's topocentric coordinates, turned by hand."""
-    table = write_export(block.run(), "opk-enu", tmp_path).table()
-    frame = Frame(table.loc[0, ["origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"]])
+    table = write_export(block.run(), "opk-enu").table()
+
+    origin = table.loc[0, ["origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"]]
+    frame = Frame(origin)
     middle_m = round(0.5 * (block.h.min() + block.h.max()))
     assert frame.origin == pytest.approx([47.005, 8.075, middle_m], abs=1e-9)
     assert_within(table[["x_m", "y_m", "z_m"]], frame(block.centre), 1e-6)
-    photos = [rotation_to_photo(row) for _, row in table.iterrows()]
-    assert_within(photos, DOWN @ block.turn @ block.axes(frame), 1e-8)
+    turns = block.turn @ block.axes(frame)
+    assert_within(rotations_to_photos(table), DOWN @ turns, 1e-8)
 
 
-def test_exported_orientations_are_read_again(run, tmp_path):
+def test_exported_orientations_are_read_again(run):
     """By the names of their columns, with the columns of camera and time."""
-    path = write_export(run, "opk", tmp_path).path
-    quantities = ("image", "latitude", "longitude", "height", "omega", "phi", "kappa")
-    columns = {quantity: quantity for quantity in quantities}
-    stated = Stated(columns=columns, heights="ellipsoid", unstated=("camera", "time_utc"))
-    table = read_orientation(path, stated, Ledger())
-    used = [0, 2, 3]
-    assert table.image.tolist() == [NAMES[k] for k in used]
+    path = write_export(run, "opk").path
+    names = ("image", "latitude", "longitude", "height", "omega", "phi", "kappa")
+    settings = Stated(
+        columns=dict(zip(names, names, strict=True)),
+        heights="ellipsoid",
+        unstated=("camera", "time_utc"),
+    )
+
+    table = read_orientation(path, settings, Ledger())
+
+    stations = run.stations.rows(np.array(OK))
+    assert table.image.tolist() == NAMES_OF_OK
     assert table.camera.tolist() == ["nadir"] * 3
-    assert table.time_ns.tolist() == run.stations.time_ns[used].tolist()
-    places = np.stack([run.stations.lat_rad, run.stations.lon_rad, run.stations.h_ellipsoid_m])
-    assert_allclose(table.position, places.T[used], rtol=1e-15)
+    assert table.time_ns.tolist() == stations.time_ns.tolist()
+    places = (stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m)
+    assert_allclose(table.position, np.transpose(places), rtol=1e-15)
     turns = matrices_of(quaternion_of_opk(table.angles, "omega_phi_kappa"))
-    assert_within(turns, TURNS[used], 1e-12)
+    assert_within(turns, TURNS[OK], 1e-12)

@@ -12,7 +12,7 @@ from unbend.geodesy import GeoidGrid
 
 
 def write_raster(
-    path: Path,
+    name: str,
     stored: np.ndarray,
     transform: Affine,
     *,
@@ -22,6 +22,7 @@ def write_raster(
     **options,
 ) -> Path:
     """A GeoTIFF of one band, in degrees unless another system is among the options."""
+    path = Path(name)
     height, width = stored.shape
     size = {"height": height, "width": width, "count": 1, "dtype": stored.dtype}
     options = {"crs": "EPSG:4326", "transform": transform, **options}

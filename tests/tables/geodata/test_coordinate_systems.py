@@ -11,6 +11,7 @@ import pyproj.network
 import pytest
 
 import unbend
+from tests.helpers import with_code
 from tests.tables.checks import assert_within
 from tests.tables.geodata.rasters import level_geoid
 from unbend.errors import InputError
@@ -18,23 +19,32 @@ from unbend.tables.geodata.coordinate_systems import places_of
 
 
 def placed(crs, x, y, h=0.0, heights="msl", geoid=None):
-    columns = tuple(np.atleast_1d(np.asarray(values, float)) for values in (x, y, h))
-    columns = tuple(np.broadcast_to(column, columns[0].shape) for column in columns)
-    return places_of(crs, columns, heights=heights, geoid=geoid, where="points.csv", key="crs")
+    columns = np.broadcast_arrays(*np.atleast_1d(x, y, h))
+    return places_of(
+        crs,
+        tuple(np.asarray(column, float) for column in columns),
+        heights=heights,
+        geoid=geoid,
+        where="points.csv",
+        key="crs",
+    )
 
 
-def refusal(*args, **kwargs) -> InputError:
+def refusal(*arguments, **options) -> InputError:
     with pytest.raises(InputError) as refused:
-        placed(*args, **kwargs)
+        placed(*arguments, **options)
     return refused.value
 
 
 def test_utm_has_the_published_place_and_convergence():
     """Ordnance Survey's worked example, guide to coordinate systems: OSGB36 E 651409.903."""
     places, notes = placed("EPSG:27700", 651409.903, 313177.270)
+
     # On WGS 84 by the guide's Helmert example within the 5 m that it promises.
-    assert np.degrees(places.lat_rad[0]) == pytest.approx(52 + 39 / 60 + 28.8282 / 3600, abs=5e-5)
-    assert np.degrees(places.lon_rad[0]) == pytest.approx(1 + 42 / 60 + 57.8663 / 3600, abs=8e-5)
+    lat = 52 + 39 / 60 + 28.8282 / 3600
+    lon = 1 + 42 / 60 + 57.8663 / 3600
+    assert np.degrees(places.lat_rad[0]) == pytest.approx(lat, abs=5e-5)
+    assert np.degrees(places.lon_rad[0]) == pytest.approx(lon, abs=8e-5)
     (entry,) = notes
     assert entry.kind == "warning"
     assert entry.code == "CRS-DATUM"
@@ -45,15 +55,23 @@ EGM96_AT_0_0 = 17.16  # m, published
 AT_0_0 = ("EPSG:32631+7837", 166_021.44, 0.0, 500.0)
 
 
-@pytest.mark.parametrize(("off_m", "kind"), [(1.5, "note"), (5.0, "warning")])
+@pytest.mark.parametrize(
+    ("off_m", "kind"),
+    [
+        (1.5, "note"),
+        (5.0, "warning"),
+    ],
+)
 def test_a_grid_that_is_not_of_the_vertical_datum_is_named_with_its_distance_from_egm96(
     off_m, kind
 ):
     _, notes = placed(*AT_0_0, geoid=level_geoid(EGM96_AT_0_0 + off_m))
-    assert notes[-1].code == "CRS-VERTICAL"
-    assert notes[-1].kind == kind
-    (away,) = re.findall(r"([+-][\d.]+) m from EGM96", notes[-1].what)
-    assert float(away) == pytest.approx(off_m, abs=0.06)
+
+    note = notes[-1]
+    assert note.code == "CRS-VERTICAL"
+    assert note.kind == kind
+    (distance,) = re.findall(r"([+-][\d.]+) m from EGM96", note.what)
+    assert float(distance) == pytest.approx(off_m, abs=0.06)
 
 
 def test_a_grid_with_the_other_sign_is_refused():
@@ -62,7 +80,17 @@ def test_a_grid_with_the_other_sign_is_refused():
     assert "-34.3 m" in error.what
 
 
-@pytest.mark.parametrize("code", [25832, 32733, 2056, 2154, 31467, 27561])
+@pytest.mark.parametrize(
+    "code",
+    [
+        25832,
+        32733,
+        2056,
+        2154,
+        31467,
+        27561,
+    ],
+)
 def test_convergence_is_the_azimuth_of_grid_north(code):
     """One metre to the grid's north, its azimuth on the ellipsoid by PROJ's geodesic."""
     system = pyproj.CRS(code)
@@ -71,22 +99,27 @@ def test_convergence_is_the_azimuth_of_grid_north(code):
     lon = rng.uniform(west, east, 50)
     lat = rng.uniform(south, min(north, 70.0), 50)
     # Lambert Nord counts grads from Paris; its datum in degrees from Greenwich is EPSG:4275.
-    own = "EPSG:4275" if code == 27561 else system.geodetic_crs
-    to_grid = pyproj.Transformer.from_crs(own, system, always_xy=True)
+    geodetic = "EPSG:4275" if code == 27561 else system.geodetic_crs
+    to_grid = pyproj.Transformer.from_crs(geodetic, system, always_xy=True)
     x, y = to_grid.transform(lon, lat)
     below = to_grid.transform(x, y - 1.0, direction="INVERSE")
     above = to_grid.transform(x, y + 1.0, direction="INVERSE")
-    azimuth = system.get_geod().inv(*below, *above)[0]
-    convergence = np.degrees(placed(f"EPSG:{code}", x, y)[0].convergence_rad)
-    assert_within(convergence, azimuth, 2e-5)
+    azimuth, _, _ = system.get_geod().inv(*below, *above)
+
+    places, _ = placed(f"EPSG:{code}", x, y)
+
+    assert_within(np.degrees(places.convergence_rad), azimuth, 2e-5)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:32632", "EPSG:3035"])
 def test_places_are_projs_whatever_the_order_of_the_axes(crs):
     lon = np.array([9.1, 9.4])
     lat = np.array([48.2, 48.9])
-    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
+    to_grid = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    x, y = to_grid.transform(lon, lat)
+
     places, notes = placed(crs, x, y, 300.0)
+
     assert_within(np.degrees(places.lon_rad), lon, 1e-8)
     assert_within(np.degrees(places.lat_rad), lat, 1e-8)
     assert places.h_m.tolist() == [300.0, 300.0]
@@ -94,7 +127,8 @@ def test_places_are_projs_whatever_the_order_of_the_axes(crs):
 
 
 def test_longitudes_and_latitudes_have_no_convergence():
-    assert placed("EPSG:4326", 9.1, 48.2)[0].convergence_rad.tolist() == [0.0]
+    places, _ = placed("EPSG:4326", 9.1, 48.2)
+    assert places.convergence_rad.tolist() == [0.0]
 
 
 PLACE = (500_000.0, 5_400_000.0, 100.0)
@@ -102,7 +136,10 @@ PLACE = (500_000.0, 5_400_000.0, 100.0)
 
 @pytest.mark.parametrize(
     ("crs", "place", "heights"),
-    [("EPSG:25832+5773", PLACE, "msl"), ("EPSG:4979", (9.0, 48.0, 100.0), "ellipsoid")],
+    [
+        ("EPSG:25832+5773", PLACE, "msl"),
+        ("EPSG:4979", (9.0, 48.0, 100.0), "ellipsoid"),
+    ],
 )
 def test_heights_by_the_name_of_their_datum(crs, place, heights):
     places, _ = placed(crs, *place, heights=heights)
@@ -115,6 +152,7 @@ def test_heights_of_a_national_datum_need_its_grid():
     assert error.code == "CRS-VERTICAL"
     assert "DHHN2016 height" in str(error)
     assert "mission.geoid" in str(error)
+
     places, notes = placed("EPSG:25832+7837", *PLACE, geoid=level_geoid(46.0))
     assert places.heights == "ellipsoid"
     assert places.h_m[0] == pytest.approx(146.0)
@@ -131,13 +169,23 @@ def test_heights_that_are_not_those_that_are_stated_are_refused():
 def test_feet_of_a_compound_system_are_metres():
     to_grid = pyproj.Transformer.from_crs("EPSG:4269", "EPSG:2263", always_xy=True)
     x, y = to_grid.transform(-73.5, 40.7)
+
     places, _ = placed("EPSG:2263+6360", x, y, 1000.0, geoid=level_geoid(-32.0))
-    assert places.h_m[0] == pytest.approx(1000.0 * 1200.0 / 3937.0 - 32.0, abs=1e-6)
+
+    us_foot_m = 1200.0 / 3937.0
+    assert places.h_m[0] == pytest.approx(1000.0 * us_foot_m - 32.0, abs=1e-6)
     assert np.degrees(places.lat_rad[0]) == pytest.approx(40.7, abs=3e-5)
 
 
 @pytest.mark.parametrize(
-    "crs", ["EPSG:99999", "no system", "EPSG:5773", "EPSG:4978", "EPSG:25832+99"]
+    "crs",
+    [
+        "EPSG:99999",
+        "no system",
+        "EPSG:5773",
+        "EPSG:4978",
+        "EPSG:25832+99",
+    ],
 )
 def test_what_is_no_system_is_refused(crs):
     assert refusal(crs, 500_000.0, 5_400_000.0).code == "CRS-UNKNOWN"
@@ -149,26 +197,34 @@ def test_a_ballpark_transformation_is_refused():
 
 
 def test_positions_outside_the_area_of_the_system():
-    value = refusal("EPSG:25832", [5_400_000.0, 5_401_000.0], [500_000.0, 500_100.0])
-    assert value.code == "CRS-AREA"
-    assert "2 of 2" in str(value)
+    error = refusal("EPSG:25832", [5_400_000.0, 5_401_000.0], [500_000.0, 500_100.0])
+    assert error.code == "CRS-AREA"
+    assert "2 of 2" in str(error)
+    assert refusal("EPSG:25832", np.nan, np.nan).code == "CRS-AREA"
+
     places, notes = placed("EPSG:25832", [5e5, 5e5, 0.0], [5.4e6, 5.4e6, 0.0])
     assert np.isnan(places.lat_rad).tolist() == [False, False, True]
-    assert [n.kind for n in notes if n.code == "CRS-AREA"] == ["loss"]
-    assert refusal("EPSG:25832", np.nan, np.nan).code == "CRS-AREA"
-    # An area across the date line: the Chatham Islands, on its other side.
-    assert placed("EPSG:3793", 3_500_000.0, 5_100_000.0)[0].lon_rad[0] < 0.0
+    (loss,) = with_code(notes, "CRS-AREA")
+    assert loss.kind == "loss"
+
+
+def test_an_area_across_the_date_line():
+    """The Chatham Islands, on its other side."""
+    places, _ = placed("EPSG:3793", 3_500_000.0, 5_100_000.0)
+    assert places.lon_rad[0] < 0.0
 
 
 def test_the_network_of_proj_changes_nothing(monkeypatch):
     """DHDN: the grid BETA2007, which PROJ would ask for, is not here."""
     places, notes = placed("EPSG:31467", 3_500_000.0, 5_500_000.0)
+
     monkeypatch.setenv("PROJ_NETWORK", "ON")
     pyproj.network.set_network_enabled(True)
     try:
         again, notes_again = placed("EPSG:31467", 3_500_000.0, 5_500_000.0)
     finally:
         pyproj.network.set_network_enabled(False)
+
     assert "needs de_adv_BETA2007.tif" in notes[0].what
     assert notes_again == notes
     assert again.lat_rad == places.lat_rad

@@ -23,41 +23,68 @@ CELLS = 1500
 
 
 def opened(*paths, system=None):
-    model, _ = open_elevation(list(paths), system, reference="msl", undulation=np.zeros_like)
+    model, _ = open_elevation(
+        list(paths),
+        system,
+        reference="msl",
+        undulation=np.zeros_like,
+    )
     return model
 
 
-def test_blocks_of_a_file_are_decoded_once_for_the_tiles_they_serve(tmp_path):
+def test_blocks_of_a_file_are_decoded_once_for_the_tiles_they_serve():
     """The first tile has the edges of the others, whose blocks stay in memory: the file may go."""
     heights = relief(1024, 1024)
-    tiles = {"tiled": True, "blockxsize": 512, "blockysize": 512, "compress": "deflate"}
-    transform = Affine(STEP, 0, 8.0, 0, -STEP, LAT)
-    path = write_raster(tmp_path / "dem.tif", heights.astype(np.float32), transform, **tiles)
+    path = write_raster(
+        "dem.tif",
+        heights.astype(np.float32),
+        Affine(STEP, 0, 8.0, 0, -STEP, LAT),
+        tiled=True,
+        blockxsize=512,
+        blockysize=512,
+        compress="deflate",
+    )
     model = opened(path)
     assert model.heights(np.array([3.0]), np.array([4.0])) == heights[3, 4]
+
     with path.open("r+b") as file:
         file.truncate(1000)
+
     assert model.heights(np.array([600.0]), np.array([700.0])) == heights[600, 700]
 
 
-def test_rasters_either_side_of_the_date_line_are_one_model(tmp_path):
+def test_rasters_either_side_of_the_date_line_are_one_model():
     heights = relief(CELLS, CELLS)
     north = LAT + 0.5 * CELLS * STEP
     half = CELLS // 2
     stored = heights.astype(np.float32)
-    to_west = Affine(STEP, 0, 180.0 - half * STEP, 0, -STEP, north)
-    to_east = Affine(STEP, 0, -180.0, 0, -STEP, north)
-    west = write_raster(tmp_path / "west.tif", stored[:, :half], to_west)
-    east = write_raster(tmp_path / "east.tif", stored[:, half:], to_east)
-    model = opened(east, west)
+    west = write_raster(
+        "west.tif",
+        stored[:, :half],
+        Affine(STEP, 0, 180.0 - half * STEP, 0, -STEP, north),
+    )
+    east = write_raster(
+        "east.tif",
+        stored[:, half:],
+        Affine(STEP, 0, -180.0, 0, -STEP, north),
+    )
     # Nodes are centres of cells.
     memory = ArrayTerrain(
-        heights, north - 0.5 * STEP, -180.0 + 0.5 * STEP, STEP, STEP, around=432_000, first=-half
+        heights,
+        north - 0.5 * STEP,
+        -180.0 + 0.5 * STEP,
+        STEP,
+        STEP,
+        around=432_000,
+        first=-half,
     )
     rays = rays_from(300, LAT, 180.0, 0.1, (3_000.0, 10_000.0), 3)
     assert 0 < (rays[1] > 0.0).sum() < 300
-    landed = landing(model, *rays)[0]
-    expected = landing(memory, *rays)[0]
+
+    model = opened(east, west)
+
+    landed, *_ = landing(model, *rays)
+    expected, *_ = landing(memory, *rays)
     assert_array_equal(landed.status, expected.status)
     assert (expected.status == OK).mean() > 0.9
     assert_within(landed.h_m, expected.h_m, 1e-4)
@@ -75,27 +102,52 @@ BESIDE = {
 }
 
 
-@pytest.mark.parametrize("variable", [None, *BESIDE])
-def test_what_gdal_reads_beside_a_raster_is_known_and_the_environment_changes_nothing(
-    tmp_path, variable
-):
+@pytest.fixture
+def with_files_beside() -> Path:
+    """A raster whose place, mask and offset are in files beside it."""
     heights = np.full((300, 300), 7.0, np.float32)
     mask = np.full((300, 300), 255, np.uint8)
     mask[0, 0] = 0
-    transform = Affine(0.5, 0, 8.0, 0, -0.5, 50.0)
-    baseline = {"crs": None, "tfw": "YES", "profile": "BASELINE"}
-    path = tmp_path / "dem.tif"
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False):
-        write_raster(path, heights, transform, offset=100.0, mask=mask, **baseline)
-    with rasterio.open(path) as source:
-        beside = {Path(name) for name in source.files}
-    names = {"dem.tif", "dem.tif.aux.xml", "dem.tif.msk", "dem.tfw"}
-    assert {file.name for file in beside} == names
-    assert set(raster_files(path)) == beside
-    # As a variable of the environment does, which GDAL asks for behind its own options.
-    with rasterio.Env(**{variable: BESIDE[variable]} if variable else {}):
-        model = opened(path, system="EPSG:4326")
-        read = model.heights(np.array([0.0, 3.0]), np.array([0.0, 3.0]))
-    assert_array_equal(read, [np.nan, 107.0])
-    row, column = model.nodes(*np.radians([[49.75], [8.25]]))
-    assert_within([row, column], 0.0, 1e-9)
+        return write_raster(
+            "dem.tif",
+            heights,
+            Affine(0.5, 0, 8.0, 0, -0.5, 50.0),
+            offset=100.0,
+            mask=mask,
+            crs=None,
+            tfw="YES",
+            profile="BASELINE",
+        )
+
+
+def test_what_gdal_reads_beside_a_raster_is_known(with_files_beside):
+    with rasterio.open(with_files_beside) as source:
+        files = {Path(name) for name in source.files}
+
+    assert {file.name for file in files} == {
+        "dem.tif",
+        "dem.tif.aux.xml",
+        "dem.tif.msk",
+        "dem.tfw",
+    }
+    assert set(raster_files(with_files_beside)) == files
+
+
+@pytest.mark.parametrize("variable", [None, *BESIDE])
+def test_the_environment_does_not_change_what_gdal_reads_beside_a_raster(
+    with_files_beside, variable
+):
+    """A variable of the environment, which GDAL asks for behind its own options."""
+    settings = {}
+    if variable is not None:
+        settings[variable] = BESIDE[variable]
+    nodes = np.array([0.0, 3.0])
+
+    with rasterio.Env(**settings):
+        model = opened(with_files_beside, system="EPSG:4326")
+        heights = model.heights(nodes, nodes)
+
+    assert_array_equal(heights, [np.nan, 107.0])
+    first_node = model.nodes(*np.radians([[49.75], [8.25]]))
+    assert_within(first_node, 0.0, 1e-9)

@@ -6,7 +6,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from tests.helpers import refused
+from tests.helpers import refused, with_code
 from tests.tables.checks import assert_within
 from tests.tables.geodata.rasters import level_geoid
 from unbend.errors import UnbendError
@@ -26,9 +26,23 @@ SYSTEMS = {
 }
 
 
+def radians(*degrees):
+    """Arrays of each of these."""
+    return [np.radians(np.atleast_1d(values)) for values in degrees]
+
+
 def opened(crs, lat, lon, *, geoid=None, needs_angles=True):
-    places = np.radians(np.atleast_1d(lat)), np.radians(np.atleast_1d(lon))
-    return open_grid(crs, *places, geoid=geoid, needs_angles=needs_angles)
+    return open_grid(
+        crs,
+        *radians(lat, lon),
+        geoid=geoid,
+        needs_angles=needs_angles,
+    )
+
+
+def axes_of(crs, lat, lon):
+    grid, _ = opened(crs, lat, lon)
+    return grid.axes_at(*radians(lat, lon))
 
 
 def refusal(crs, lat=47.4, lon=8.6, **options) -> UnbendError:
@@ -41,40 +55,50 @@ def refusal(crs, lat=47.4, lon=8.6, **options) -> UnbendError:
 @pytest.mark.parametrize("crs", SYSTEMS)
 def test_coordinates_convergence_and_scale_are_those_of_proj(crs):
     lat, lon, datum_shift = SYSTEMS[crs]
+
     grid, _ = opened(crs, lat, lon)
-    place = np.radians([lat]), np.radians([lon])
+    axes = grid.axes_at(*radians(lat, lon))
+
     transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
-    expected = np.reshape(transformer.transform(lon, lat), (2, 1))
-    assert_within(grid.coordinates(*place), expected, 1e-6)
-    axes = grid.axes_at(*place)
+    expected = transformer.transform([lon], [lat])
+    assert_within(grid.coordinates(*radians(lat, lon)), expected, 1e-6)
     factors = pyproj.Proj(crs).get_factors(lon, lat)
     difference = np.degrees(axes.convergence_rad[0]) - factors.meridian_convergence
-    assert (difference + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-6 + 60 * datum_shift)
-    assert axes.scale[0] == pytest.approx(factors.meridional_scale, abs=2e-8 + datum_shift)
+    within_a_turn = (difference + 180.0) % 360.0 - 180.0
+    assert within_a_turn == pytest.approx(0.0, abs=1e-6 + 60 * datum_shift)
+    scale = pytest.approx(factors.meridional_scale, abs=2e-8 + datum_shift)
+    assert axes.scale[0] == scale
     assert axes.distortion[0] < 1e-7 + datum_shift
 
 
 def test_axes_to_the_west_and_south_are_half_a_turn_from_grid_north():
     """South African Lo: y counts to the west, x to the south; the second axis looks south."""
     grid, _ = opened("EPSG:2048", -33.0, 19.4)
-    axes = grid.axes_at(np.radians([-33.0]), np.radians([19.4]))
-    northwards = pyproj.Proj("+proj=tmerc +lon_0=19 +ellps=WGS84").get_factors(19.4, -33.0)
-    turned = np.degrees(axes.convergence_rad[0]) - northwards.meridian_convergence
+    axes = axes_of("EPSG:2048", -33.0, 19.4)
+
+    to_north = pyproj.Proj("+proj=tmerc +lon_0=19 +ellps=WGS84")
+    factors = to_north.get_factors(19.4, -33.0)
+    turned = np.degrees(axes.convergence_rad[0]) - factors.meridian_convergence
     assert abs(turned) == pytest.approx(180.0, abs=1e-6)
     assert grid.axes == ("west", "south")
 
 
 def height_in(grid, lat=47.4, lon=8.6) -> float:
     """Of a place 452 m above the sea and 500 m above the ellipsoid."""
-    place = np.radians([lat]), np.radians([lon])
-    return grid.height.heights(*place, np.array([452.0]), np.array([500.0]))[0]
+    (height,) = grid.height.heights(
+        *radians(lat, lon),
+        np.array([452.0]),
+        np.array([500.0]),
+    )
+    return height
 
 
 def test_a_grid_in_feet_says_so_and_has_heights_in_feet():
     grid, _ = opened("EPSG:2263", 40.8, -73.6)
     assert grid.unit.suffix == "us_ft"
     assert grid.height.unit.suffix == "us_ft"
-    assert height_in(grid, 40.8, -73.6) == pytest.approx(500.0 * 3937.0 / 1200.0)
+    feet = 500.0 * 3937.0 / 1200.0
+    assert height_in(grid, 40.8, -73.6) == pytest.approx(feet)
 
 
 @pytest.mark.parametrize(
@@ -89,18 +113,30 @@ def test_a_grid_in_feet_says_so_and_has_heights_in_feet():
 )
 def test_what_heights_count_from(crs, undulation, height):
     """Without a vertical part the ellipsoid; EGM96 and MSL are sea level; others need a grid."""
-    geoid = None if undulation is None else level_geoid(undulation)
-    grid, _ = opened(crs, 47.4, 8.6, geoid=geoid, needs_angles=crs != "EPSG:4979")
+    geoid = None
+    if undulation is not None:
+        geoid = level_geoid(undulation)
+    has_axes = crs != "EPSG:4979"
+
+    grid, _ = opened(crs, 47.4, 8.6, geoid=geoid, needs_angles=has_axes)
+
     assert height_in(grid) == pytest.approx(height)
-    assert ("DHHN2016" in grid.height.name) == ("7837" in crs)
+    is_national = "7837" in crs
+    assert ("DHHN2016" in grid.height.name) == is_national
 
 
 def test_a_geoid_far_from_egm96_is_a_warning_and_another_height_is_refused():
-    _, notes = opened("EPSG:25832+7837", 47.4, 8.6, geoid=level_geoid(52.5))
-    assert ("warning", "CRS-VERTICAL") in [(note.kind, note.code) for note in notes]
-    assert "it is not the grid" in refusal("EPSG:25832+7837", geoid=level_geoid(-47.5)).what
-    hole = GeoidGrid("far.gtx", np.full((3, 3), 47.0, np.float32), -50.0, 100.0, 1.0, 1.0)
-    assert "no value at the place" in refusal("EPSG:25832+7837", geoid=hole).what
+    crs = "EPSG:25832+7837"  # heights of DHHN2016
+    _, notes = opened(crs, 47.4, 8.6, geoid=level_geoid(52.5))
+    kinds = {note.kind for note in with_code(notes, "CRS-VERTICAL")}
+    assert "warning" in kinds
+
+    other_sign = level_geoid(-47.5)
+    assert "it is not the grid" in refusal(crs, geoid=other_sign).what
+
+    values = np.full((3, 3), 47.0, np.float32)
+    hole = GeoidGrid("far.gtx", values, -50.0, 100.0, 1.0, 1.0)
+    assert "no value at the place" in refusal(crs, geoid=hole).what
 
 
 @pytest.mark.parametrize(
@@ -123,18 +159,24 @@ def test_what_is_unfit_is_refused_with_what_to_do(crs, words):
 
 
 @pytest.mark.parametrize(
-    ("crs", "place", "options", "words"),
+    ("crs", "lat", "lon", "words"),
     [
-        ("EPSG:5513", (49.8, 15.5), {}, "mirrored"),
-        ("EPSG:25832", (47.4, 8.6), {"geoid": level_geoid(47.0)}, "no vertical part"),
-        ("EPSG:25832+5773", (47.4, 8.6), {"geoid": level_geoid(47.0)}, "no vertical part"),
-        ("EPSG:25832", (np.nan, np.nan), {}, "no station has a position"),
-        ("ESRI:53004", (47.4, 8.6), {}, "accuracy"),
-        ("EPSG:9267", (47.4, 13.0), {"needs_angles": False}, "ellipsoid"),
+        ("EPSG:5513", 49.8, 15.5, "mirrored"),
+        ("EPSG:25832", np.nan, np.nan, "no station has a position"),
+        ("ESRI:53004", 47.4, 8.6, "accuracy"),
     ],
 )
-def test_other_unfit_systems(crs, place, options, words):
-    assert words in refusal(crs, *place, **options).what
+def test_systems_that_are_unfit_elsewhere(crs, lat, lon, words):
+    assert words in refusal(crs, lat, lon).what
+
+
+@pytest.mark.parametrize("crs", ["EPSG:25832", "EPSG:25832+5773"])
+def test_a_geoid_for_heights_that_need_none_is_refused(crs):
+    assert "no vertical part" in refusal(crs, geoid=level_geoid(47.0)).what
+
+
+def test_heights_above_another_ellipsoid_are_refused():
+    assert "ellipsoid" in refusal("EPSG:9267", 47.4, 13.0, needs_angles=False).what
 
 
 def test_a_mirrored_system_has_one_that_is_not():
@@ -142,11 +184,14 @@ def test_a_mirrored_system_has_one_that_is_not():
 
 
 def test_the_area_of_use_to_two_degrees_is_a_warning():
-    _, notes = opened("EPSG:25832", [47.4, 47.4], [12.5, 11.9])
+    lat = [47.4, 47.4]
+    lon = [12.5, 11.9]
+    _, notes = opened("EPSG:25832", lat, lon)
     (warning,) = [note for note in notes if note.kind == "warning"]
     assert warning.code == "EXPORT-GRID"
     assert warning.count == 1
     assert "area" in warning.what
+
     _, notes = opened("EPSG:25832", 47.4, 11.9)
     assert {note.kind for note in notes} == {"note"}
 
@@ -161,7 +206,7 @@ def test_a_datum_without_its_grid_is_a_warning_that_names_it():
 
 def checked_axes(crs, lat, lon):
     grid, _ = opened(crs, lat, lon)
-    axes = grid.axes_at(np.radians([lat]), np.radians([lon]))
+    axes = axes_of(crs, lat, lon)
     return check_grid_axes(axes, crs=crs, name=grid.name)
 
 
@@ -171,11 +216,13 @@ def test_a_scale_beyond_surveys_is_refused():
 
 
 def test_a_projection_that_is_not_conformal_is_a_warning():
-    notes = checked_axes("EPSG:3035", 52.0, 5.0)
-    assert [note.kind for note in notes] == ["note", "warning"]
+    note, warning = checked_axes("EPSG:3035", 52.0, 5.0)
+
+    assert note.kind == "note"
+    assert warning.kind == "warning"
     factors = pyproj.Proj("EPSG:3035").get_factors(5.0, 52.0)
-    expected = factors.tissot_semimajor - factors.tissot_semiminor
-    assert f"{100.0 * expected:.3f} %" in notes[1].what
+    difference = factors.tissot_semimajor - factors.tissot_semiminor
+    assert f"{100.0 * difference:.3f} %" in warning.what
 
 
 def test_convergence_and_scale_are_noted():

@@ -20,7 +20,8 @@ from unbend.tables.imports.stated import Stated
 
 WEEK = 2417
 TOW = 302_400.0
-START = datetime(1980, 1, 6, tzinfo=UTC) + timedelta(weeks=WEEK, seconds=TOW - 18.0)
+GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
+START = GPS_EPOCH + timedelta(weeks=WEEK, seconds=TOW - 18.0)
 LAT = 47.3
 LON = 8.5
 HEIGHT = 1500.0
@@ -30,11 +31,16 @@ TURN_RAD_S = 2.0 * np.pi / 307.0
 
 
 def enu_axes(lat_deg: float, lon_deg: float) -> np.ndarray:
-    p, e = np.radians([lat_deg, lon_deg])
-    east = [-np.sin(e), np.cos(e), 0.0]
-    north = [-np.sin(p) * np.cos(e), -np.sin(p) * np.sin(e), np.cos(p)]
-    up = [np.cos(p) * np.cos(e), np.cos(p) * np.sin(e), np.sin(p)]
-    return np.array([east, north, up])
+    angles = np.radians([lat_deg, lon_deg])
+    sin_lat, sin_lon = np.sin(angles)
+    cos_lat, cos_lon = np.cos(angles)
+    return np.array(
+        [
+            [-sin_lon, cos_lon, 0.0],
+            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+        ]
+    )
 
 
 class Flight:
@@ -47,33 +53,40 @@ class Flight:
         self.folder = folder
         self.t = t
         course = TURN_RAD_S * t
-        radius = SPEED_M_S / TURN_RAD_S
-        along = np.stack([1.0 - np.cos(course), np.sin(course)]) * radius
-        climb = 5.0 * np.sin(t / 20.0)
-        start = np.array(TO_ECEF.transform(LON, LAT, HEIGHT))[:, None]
-        ecef = start + enu_axes(LAT, LON).T @ np.stack([*along, climb])
-        self.lon, self.lat, self.height = TO_ECEF.transform(*ecef, direction="INVERSE")
+        radius_m = SPEED_M_S / TURN_RAD_S
+        enu = [
+            radius_m * (1.0 - np.cos(course)),
+            radius_m * np.sin(course),
+            5.0 * np.sin(t / 20.0),
+        ]
+        start = TO_ECEF.transform(LON, LAT, HEIGHT)
+        ecef = np.transpose([start]) + enu_axes(LAT, LON).T @ enu
+        self.places = TO_ECEF.transform(*ecef, direction="INVERSE")
+        self.lon, self.lat, self.height = self.places
         # The block is small: within 0.03 degrees of the axes at its start.
         north = SPEED_M_S * np.cos(course)
         east = SPEED_M_S * np.sin(course)
-        self.velocity = np.stack([north, east, -0.25 * np.cos(t / 20.0)], axis=1)
+        down = -0.25 * np.cos(t / 20.0)
+        self.velocity = np.stack([north, east, down], axis=1)
         self.yaw = course + np.radians(4.0)  # it crabs
-        self.pitch = np.radians(2.0) + np.radians(1.0) * np.sin(t / 7.0)
+        self.pitch = np.radians(2.0 + np.sin(t / 7.0))
         self.roll = np.radians(3.0) * np.sin(t / 5.0)
 
-    def at(self, t: np.ndarray) -> Flight:
+    def at_times(self, t: np.ndarray) -> Flight:
         """The same flight at other times."""
         return Flight(self.folder, t)
 
     @property
     def utc_ns(self) -> np.ndarray:
-        start = round(START.timestamp()) * 10**9
-        return start + np.rint(self.t * 1e9).astype(np.int64)
+        start_ns = round(START.timestamp()) * 10**9
+        since_ns = np.rint(self.t * 1e9)
+        return start_ns + since_ns.astype(np.int64)
 
     @property
     def attitude(self) -> Rotation:
         """v_ned = R v_body."""
-        return Rotation.from_euler("ZYX", np.stack([self.yaw, self.pitch, self.roll], axis=1))
+        angles = np.stack([self.yaw, self.pitch, self.roll], axis=1)
+        return Rotation.from_euler("ZYX", angles)
 
     def gpst(self, k: int) -> str:
         time = START + timedelta(seconds=18.0 + float(self.t[k]))
@@ -81,10 +94,12 @@ class Flight:
 
     def put(self, name: str, content: str | bytes) -> Path:
         path = self.folder / name
-        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        if isinstance(content, str):
+            content = content.encode()
+        path.write_bytes(content)
         return path
 
-    def pos(self, name: str = "flight.pos", *, quality=1) -> Path:
+    def pos(self, name="flight.pos", *, quality=1) -> Path:
         """As RTKLIB writes it: sigmas north 0.011, east 0.007, up 0.021."""
         lines = [
             "% program   : RTKPOST ver.2.4.3 b34\n"
@@ -94,19 +109,23 @@ class Flight:
             "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)"
             "   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio\n"
         ]
-        for k, q in enumerate(np.broadcast_to(quality, self.t.size)):
+        quality = np.broadcast_to(quality, self.t.size)
+        for k, q in enumerate(quality):
             lines.append(
                 f"{self.gpst(k)} {self.lat[k]:14.9f} {self.lon[k]:14.9f} {self.height[k]:10.4f} "
                 f"{q:3d}  12   0.0110   0.0070   0.0210   0.0010  -0.0020   0.0030   0.00    9.9\n"
             )
         return self.put(name, "".join(lines))
 
-    def sbet_rows(self, *, wander_deg: float = 1.3, sign: float = 1.0) -> np.ndarray:
+    def sbet_rows(self, *, wander_deg=1.3, sign=1.0) -> np.ndarray:
         """POSPac: x north, y west, z up in the wander frame; platform heading = true + wander."""
         wander = np.radians(wander_deg) + 1e-4 * self.t
-        ground = (self.velocity[:, 0] - 1j * self.velocity[:, 1]) * np.exp(-1j * sign * wander)
-        later = self.at(self.t + 0.001).attitude
-        turned = (self.attitude.inv() * later).as_rotvec()
+        north, east, down = self.velocity.T
+        turn = np.exp(-1j * sign * wander)
+        ground = (north - 1j * east) * turn
+        heading = self.yaw + sign * wander
+        later = self.at_times(self.t + 0.001).attitude
+        turned = self.attitude.inv() * later
         return np.column_stack(
             [
                 TOW + self.t,
@@ -115,25 +134,30 @@ class Flight:
                 self.height,
                 ground.real,
                 ground.imag,
-                -self.velocity[:, 2],
+                -down,
                 self.roll,
                 self.pitch,
-                (self.yaw + sign * wander + np.pi) % (2 * np.pi) - np.pi,
+                (heading + np.pi) % (2 * np.pi) - np.pi,
                 wander,
                 np.zeros((self.t.size, 3)),
-                turned / 0.001,
+                turned.as_rotvec() / 0.001,
             ]
         )
 
-    def sbet(self, *, rows: np.ndarray | None = None, **how) -> Path:
-        rows = self.sbet_rows(**how) if rows is None else rows
+    def sbet(self, *, rows=None, **how) -> Path:
+        if rows is None:
+            rows = self.sbet_rows(**how)
         return self.put("sbet.out", rows.astype("<f8").tobytes())
 
     def smrmsg(self) -> Path:
         """Once a second: north 0.03, east 0.04, down 0.05 m; 0.6, 0.8, 3 arcmin."""
-        t = np.arange(self.t[0] - 1.0, self.t[-1] + 2.0)
-        sigmas = np.tile([0.03, 0.04, 0.05, 0.01, 0.01, 0.01, 0.6, 0.8, 3.0], (t.size, 1))
-        return self.put("smrmsg.out", np.column_stack([TOW + t, sigmas]).astype("<f8").tobytes())
+        t = np.arange(self.t.min() - 1.0, self.t.max() + 2.0)
+        rows = np.empty((t.size, 10))
+        rows[:, 0] = TOW + t
+        rows[:, 1:4] = [0.03, 0.04, 0.05]
+        rows[:, 4:7] = 0.01
+        rows[:, 7:] = [0.6, 0.8, 3.0]
+        return self.put("smrmsg.out", rows.astype("<f8").tobytes())
 
     def mrk(self) -> Path:
         lines = []
@@ -155,7 +179,8 @@ class Flight:
             "ID\t# EVENT\tTIME (s)\tEASTING\tNORTHING\tELLIPSOID HEIGHT\tOMEGA\tPHI\tKAPPA\tLAT\t"
             "LONG\n"
         ]
-        for k, (first, second, third) in enumerate(np.broadcast_to(angles, (self.t.size, 3))):
+        angles = np.broadcast_to(angles, (self.t.size, 3))
+        for k, (first, second, third) in enumerate(angles):
             lines.append(
                 f"img_{k:03d}\t{k + 1}\t{TOW + self.t[k]:.6f}\t465000.1\t5238000.2\t"
                 f"{self.height[k]:.3f}\t{first:.9f}\t{second:.9f}\t{third:.9f}\t"
@@ -164,34 +189,48 @@ class Flight:
         return self.put("eo.txt", "".join(lines))
 
 
-def read(reader, path: Path, stated: Stated | None = None) -> tuple[Channel, Ledger]:
+def read(reader, path, settings=None) -> tuple[Channel, Ledger]:
     """What a reader makes of a file, and what it says of it."""
     ledger = Ledger()
-    return reader(path, stated or Stated(), ledger), ledger
+    channel = reader(path, settings or Stated(), ledger)
+    return channel, ledger
 
 
-def refusal_of(reader, path: Path, stated: Stated | None = None) -> InputError:
+def refusal_of(reader, path, settings=None) -> InputError:
     """How a reader refuses a file, which says what to do."""
     with pytest.raises(InputError) as caught:
-        reader(path, stated or Stated(), Ledger())
+        reader(path, settings or Stated(), Ledger())
     assert caught.value.remedy
     return caught.value
 
 
-def metres_off(channel: Channel, flight: Flight, height: str = "h_ellipsoid_m") -> float:
+def ns_off(channel, flight, later_ns=0) -> int:
+    """The largest difference of times from the truth, or from times later than that."""
+    return np.abs(channel.time_ns - flight.utc_ns - later_ns).max()
+
+
+def metres_off(channel: Channel, flight: Flight) -> float:
     """The largest difference in place and height from the truth."""
     cosine = np.cos(np.radians(flight.lat))
     north = (channel["lat_rad"] - np.radians(flight.lat)) * 6.37e6
     east = (channel["lon_rad"] - np.radians(flight.lon)) * 6.38e6 * cosine
-    up = channel[height] - flight.height
+    up = channel["h_ellipsoid_m"] - flight.height
     return np.abs([north, east, up]).max()
 
 
 def degrees_off(channel: Channel, flight: Flight) -> float:
     """The largest angle between the attitudes and the true ones."""
-    quaternions = np.stack([channel[f"q_{axis}"] for axis in "xyzw"], axis=1)
-    apart = Rotation.from_quat(quaternions).inv() * flight.attitude
+    quaternions = [channel[f"q_{axis}"] for axis in "xyzw"]
+    attitude = Rotation.from_quat(np.transpose(quaternions))
+    apart = attitude.inv() * flight.attitude
     return np.degrees(apart.magnitude().max())
+
+
+def assert_place(channel, row, lat_deg, lon_deg, tolerance_deg=1e-10) -> None:
+    lat_rad = channel["lat_rad"][row]
+    lon_rad = channel["lon_rad"][row]
+    assert np.degrees(lat_rad) == pytest.approx(lat_deg, abs=tolerance_deg)
+    assert np.degrees(lon_rad) == pytest.approx(lon_deg, abs=tolerance_deg)
 
 
 def utc_text(channel: Channel, row: int) -> str:

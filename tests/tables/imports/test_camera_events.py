@@ -9,11 +9,14 @@ import pyproj
 import pytest
 
 from tests.helpers import with_code
+from tests.tables.checks import assert_within
 from tests.tables.imports.flights import (
     TOW,
     WEEK,
+    assert_place,
     degrees_off,
     metres_off,
+    ns_off,
     read,
     refusal_of,
     utc_text,
@@ -33,15 +36,18 @@ def test_a_published_line_of_an_mrk(flight):
         "1\t400373.488877\t[2264]\t   -40,N\t     0,E\t    86,V\t44.42824637,Lat\t1.26196331,Lon\t"
         "359.494,Ellh\t0.028, 0.031, 0.055\t16,Q\n",
     )
+
     channel, ledger = read(read_mrk, path)
-    assert channel["event_index"].tolist() == [1.0]
-    offsets = [channel[f"offset_{axis}_m"][0] for axis in ("north", "east", "down")]
-    assert offsets == pytest.approx([-0.040, 0.0, 0.086])
-    assert np.degrees(channel["lat_rad"][0]) == pytest.approx(44.42824637, abs=1e-11)
-    assert np.degrees(channel["lon_rad"][0]) == pytest.approx(1.26196331, abs=1e-11)
-    assert channel["h_ellipsoid_m"][0] == 359.494
-    assert channel["sigma_h_m"][0] == pytest.approx(np.hypot(0.028, 0.031) / np.sqrt(2))
-    assert channel["sigma_v_m"][0] == 0.055
+
+    (row,) = channel.to_pandas().to_dict("records")
+    assert row["event_index"] == 1.0
+    assert row["offset_north_m"] == pytest.approx(-0.040)
+    assert row["offset_east_m"] == pytest.approx(0.0)
+    assert row["offset_down_m"] == pytest.approx(0.086)
+    assert_place(channel, 0, 44.42824637, 1.26196331, tolerance_deg=1e-11)
+    assert row["h_ellipsoid_m"] == 359.494
+    assert row["sigma_h_m"] == pytest.approx(np.hypot(0.028, 0.031) / np.sqrt(2))
+    assert row["sigma_v_m"] == 0.055
     # Week 2264 began on Sunday 2023-05-28; 400,373.488877 s later less 18 s.
     assert utc_text(channel, 0) == "2023-06-01T15:12:35.488877000"
     assert with_code(ledger, "TRAJECTORY-SINGLE")[0].count == 1
@@ -49,7 +55,8 @@ def test_a_published_line_of_an_mrk(flight):
 
 def test_an_mrk_is_read_to_its_last_digit(exposures):
     channel, ledger = read(read_mrk, exposures.mrk())
-    assert np.abs(channel.time_ns - exposures.utc_ns).max() < 1000
+
+    assert ns_off(channel, exposures) < 1000
     assert metres_off(channel, exposures) < 2e-3
     assert channel["event_index"].tolist() == list(range(1, 31))
     assert not list(ledger)
@@ -61,20 +68,26 @@ def test_images_without_a_position_keep_their_time_and_are_told(exposures):
     lines[3] = lines[3].replace("50,Q", "0,Q")
     lines[5] = "garbage\n"
     path.write_text("".join(lines))
+
     channel, ledger = read(read_mrk, path)
+
     assert len(channel) == 29
     assert np.flatnonzero(np.isnan(channel["lat_rad"])).tolist() == [3]
     (lost,) = with_code(ledger, "IMPORT-NO-POSITION")
     assert lost.kind == "loss"
     assert lost.count == 1
-    assert [entry.count for entry in with_code(ledger, "IMPORT-ROWS")] == [1]
+    (damaged,) = with_code(ledger, "IMPORT-ROWS")
+    assert damaged.count == 1
 
 
 def test_what_is_stated_against_an_mrk_holds_and_is_told(exposures):
-    channel, ledger = read(read_mrk, exposures.mrk(), Stated("utc", heights="msl"))
-    contradicted = with_code(ledger, "IMPORT-CONTRADICTED")
-    assert [entry.kind for entry in contradicted] == ["warning", "warning"]
-    assert np.abs(channel.time_ns - exposures.utc_ns - LEAP_NS).max() < 1000
+    settings = Stated("utc", heights="msl")
+
+    channel, ledger = read(read_mrk, exposures.mrk(), settings)
+
+    of_time, of_height = with_code(ledger, "IMPORT-CONTRADICTED")
+    assert of_time.kind == of_height.kind == "warning"
+    assert ns_off(channel, exposures, LEAP_NS) < 1000
     assert channel["h_msl_m"] == pytest.approx(exposures.height, abs=1e-3)
 
 
@@ -90,14 +103,17 @@ def test_events_of_rtklib_are_counted_by_their_rows(exposures):
     lines = rows.splitlines(keepends=True)
     lines[4] = "damaged\n"
     path.write_text(head + title + "".join(lines))
+
     channel, _ = read(read_pos, path)
+
     assert channel["event_index"].tolist() == [1, 2, 3, 4, *range(6, 31)]
     assert format_of(CAMERA_EVENTS, path, None) == "rtklib"
 
 
 def test_an_eo_text_with_names(exposures):
     channel, _ = read(read_eo_text, exposures.eo(), OF_WEEK)
-    assert np.abs(channel.time_ns - exposures.utc_ns).max() < 1000
+
+    assert ns_off(channel, exposures) < 1000
     assert metres_off(channel, exposures) < 1e-3
     assert channel.labels["name"][:2] == ("img_000", "img_001")
     assert channel["event_index"].tolist() == list(range(1, 31))
@@ -112,12 +128,13 @@ def test_the_published_example_of_an_eo_text(exposures):
         "ID\t# EVENT\tTIME(s)\tEASTING\tNORTHING\tELLIPSOID HEIGHT\tOMEGA\tPHI\tKAPPA\tLAT\tLONG\n"
         "196493710\t3\t564155.65\t365324.63\t3096141.49\t2088.37\t-1.05\t0.32\t179.18\t27.98\t-82.36\n",
     )
+
     channel, _ = read(read_eo_text, path, OF_WEEK)
+
     assert channel.labels["name"] == ("196493710",)
     assert channel["event_index"].tolist() == [3.0]
     assert channel["h_ellipsoid_m"].tolist() == [2088.37]
-    assert np.degrees(channel["lat_rad"]) == pytest.approx([27.98])
-    assert np.degrees(channel["lon_rad"]) == pytest.approx([-82.36])
+    assert_place(channel, 0, 27.98, -82.36)
 
 
 @pytest.mark.parametrize(
@@ -131,14 +148,21 @@ def test_the_published_example_of_an_eo_text(exposures):
 )
 def test_an_eo_text_in_other_units_is_refused(exposures, pattern, text, words):
     path = exposures.eo()
-    path.write_text(re.sub(pattern, text, path.read_text()))
+    content = re.sub(pattern, text, path.read_text())
+    path.write_text(content)
+
     error = refusal_of(read_eo_text, path, OF_WEEK)
     assert error.code == "IMPORT-FORMAT"
     assert words in error.what
 
 
 @pytest.mark.parametrize(
-    ("unit", "circle"), [("Degrees", 360.0), ("Radians", 2.0 * np.pi), ("Grads", 400.0)]
+    ("unit", "circle"),
+    [
+        ("Degrees", 360.0),
+        ("Radians", 2.0 * np.pi),
+        ("Grads", 400.0),
+    ],
 )
 def test_an_eo_text_with_roll_pitch_and_heading_in_each_unit(exposures, unit, circle):
     """They turn a body against north, east and down, whatever the grid."""
@@ -146,14 +170,19 @@ def test_an_eo_text_with_roll_pitch_and_heading_in_each_unit(exposures, unit, ci
     path = exposures.eo(angles * circle / (2.0 * np.pi))
     text = path.read_text().replace("orientation in Degrees", f"orientation in {unit}")
     path.write_text(text.replace("OMEGA\tPHI\tKAPPA", "ROLL\tPITCH\tHEADING"))
+
     channel, ledger = read(read_eo_text, path, OF_WEEK)
+
     assert degrees_off(channel, exposures) < 1e-6
     assert not with_code(ledger, "IMPORT-EO-ANGLES")
 
 
 def test_an_eo_text_that_does_not_say_the_unit_of_its_angles_gives_none(exposures):
-    text = exposures.eo().read_text().replace("orientation in Degrees", "orientation")
-    channel, ledger = read(read_eo_text, exposures.put("no.txt", text), OF_WEEK)
+    text = exposures.eo().read_text()
+    path = exposures.put("no.txt", text.replace("orientation in Degrees", "orientation"))
+
+    channel, ledger = read(read_eo_text, path, OF_WEEK)
+
     assert not channel.fits_role("attitude")
     assert with_code(ledger, "IMPORT-EO-ANGLES")[0].kind == "fallback"
 
@@ -162,27 +191,36 @@ def test_an_eo_text_does_not_say_its_time_system(exposures):
     path = exposures.eo()
     assert refusal_of(read_eo_text, path, Stated(week=WEEK)).code == "IMPORT-UNSTATED"
     channel, _ = read(read_eo_text, path, Stated("utc", WEEK))
-    assert np.abs(channel.time_ns - exposures.utc_ns - LEAP_NS).max() < 1000
+    assert ns_off(channel, exposures, LEAP_NS) < 1000
 
 
 def test_a_damaged_time_moves_no_other_by_a_week(exposures):
     """Seconds of the week that begin anew are of the next one; a field that is none is not."""
     time = f"{TOW + exposures.t[5]:.6f}"
-    text = exposures.eo().read_text().replace(time, "never")
-    channel, _ = read(read_eo_text, exposures.put("damaged.txt", text), OF_WEEK)
-    assert np.abs(channel.time_ns - np.delete(exposures.utc_ns, 5)).max() < 1000
+    path = exposures.eo()
+    path.write_text(path.read_text().replace(time, "never"))
+
+    channel, _ = read(read_eo_text, path, OF_WEEK)
+
+    undamaged = exposures.at_times(np.delete(exposures.t, 5))
+    assert ns_off(channel, undamaged) < 1000
 
 
 def eo_with_head(exposures, head: str, shift=(0.0, 0.0, 0.0)):
     """The text with its head, easting, northing and height shifted; latitude is not."""
     east, north = pyproj.Proj("EPSG:32632")(exposures.lon, exposures.lat)
     seconds = TOW + exposures.t
-    columns = (seconds, east + shift[0], north + shift[1], exposures.height + shift[2])
+    columns = (
+        seconds,
+        east + shift[0],
+        north + shift[1],
+        exposures.height + shift[2],
+    )
     lines = [
         head + "Zone: UTM North 32; lat, long in Deg; orientation in Degrees",
         "EVENT TIME (s) EASTING NORTHING ELLIPSOID HEIGHT OMEGA PHI KAPPA LAT LONG",
     ]
-    for event, numbers in enumerate(np.stack(columns, axis=1)):
+    for event, numbers in enumerate(np.transpose(columns)):
         place = " ".join(f"{number:.4f}" for number in numbers)
         degrees = f"{exposures.lat[event]:.9f} {exposures.lon[event]:.9f}"
         lines.append(f"{event + 1} {place} 0.5 -0.5 30 {degrees}")
@@ -192,35 +230,48 @@ def eo_with_head(exposures, head: str, shift=(0.0, 0.0, 0.0)):
 def test_a_shift_that_latitudes_do_not_have_is_taken_from_the_heights(exposures):
     head = "Shift values: X = 12.000 m, Y = -30.000 m, Z = 48.500 m\n"
     path = eo_with_head(exposures, head, (12.0, -30.0, 48.5))
+
     channel, ledger = read(read_eo_text, path, OF_WEEK)
-    assert np.abs(channel["h_ellipsoid_m"] - exposures.height).max() < 1e-3
+
+    assert_within(channel["h_ellipsoid_m"], exposures.height, 1e-3)
     assert "subtracted from the heights" in with_code(ledger, "IMPORT-EO-HEAD")[0].what
 
 
 @pytest.mark.parametrize("shift", ["X = 12.0 m, Y = -30.0 m, Z = 48.5 m", "X=0, Y=0, Z=48.5"])
 def test_a_shift_that_nothing_shows_is_a_warning(exposures, shift):
     path = eo_with_head(exposures, f"Shift values: {shift}\n")
+
     channel, ledger = read(read_eo_text, path, OF_WEEK)
-    assert np.abs(channel["h_ellipsoid_m"] - exposures.height).max() < 1e-3
+
+    assert_within(channel["h_ellipsoid_m"], exposures.height, 1e-3)
     warning = with_code(ledger, "IMPORT-EO-HEAD")[0]
     assert warning.kind == "warning"
     assert "are read without a change" in warning.what
 
 
 @pytest.mark.parametrize(
-    "rotations",
+    "head",
     [
-        ("'z' axis by the 'kappa'", "'y' axis by the 'phi'", "'x' axis by the 'omega'"),
-        ("'y' axis by the 'omega'", "'x' axis by the 'phi'", "'z' axis by the 'kappa'"),
+        pytest.param(
+            "First rotation is about the 'z' axis by the 'kappa' angle.\n"
+            "Second rotation is about the 'y' axis by the 'phi' angle.\n"
+            "Third rotation is about the 'x' axis by the 'omega' angle.\n",
+            id="about z first",
+        ),
+        pytest.param(
+            "First rotation is about the 'y' axis by the 'omega' angle.\n"
+            "Second rotation is about the 'x' axis by the 'phi' angle.\n"
+            "Third rotation is about the 'z' axis by the 'kappa' angle.\n",
+            id="omega about y",
+        ),
     ],
-    ids=["about z first", "omega about y"],
 )
-def test_an_order_that_no_photogrammetric_angles_have_is_refused(exposures, rotations):
-    words = zip(("First", "Second", "Third"), rotations, strict=True)
-    head = "".join(f"{first} rotation is about the {turn} angle.\n" for first, turn in words)
-    assert refusal_of(read_eo_text, eo_with_head(exposures, head), OF_WEEK).code == "IMPORT-EO-HEAD"
+def test_an_order_that_no_photogrammetric_angles_have_is_refused(exposures, head):
+    path = eo_with_head(exposures, head)
+    assert refusal_of(read_eo_text, path, OF_WEEK).code == "IMPORT-EO-HEAD"
 
 
 def test_an_order_that_is_not_stated_stands_in_the_ledger(exposures):
-    _, ledger = read(read_eo_text, eo_with_head(exposures, ""), OF_WEEK)
+    path = eo_with_head(exposures, "")
+    _, ledger = read(read_eo_text, path, OF_WEEK)
     assert "states no order" in with_code(ledger, "IMPORT-EO-HEAD")[0].what

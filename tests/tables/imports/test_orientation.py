@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -21,23 +23,22 @@ NAMES = {
     "phi": "p",
     "kappa": "k",
 }
-OPK = ("omega", "phi", "kappa")
 HEAD = "image,lat,lon,h,o,p,k\n"
 ROW = "a,47.5,8.5,3000.5,1.0,-2.0,90.0\n"
 
 
-def read(tmp_path, text: str, names=NAMES, angles=OPK, unit: str = "deg"):
-    path = tmp_path / "block.csv"
+def read(text: str, names=NAMES, unit: str = "deg"):
+    path = Path("block.csv")
     path.write_text(text, encoding="utf-8")
-    columns = {n: c for n, c in names.items() if n not in OPK} | {n: names[n] for n in angles}
+    settings = Stated(columns=names, angle_unit=unit)
     ledger = Ledger()
-    table = read_orientation(path, Stated(columns=columns, angle_unit=unit), ledger)
+    table = read_orientation(path, settings, ledger)
     return table, tuple(ledger)
 
 
-def refusal(tmp_path, text: str, code: str, **options) -> UnbendError:
+def refusal(text: str, code: str, **options) -> UnbendError:
     with refused(code) as caught:
-        read(tmp_path, text, **options)
+        read(text, **options)
     assert "block.csv" in caught.value.where
     return caught.value
 
@@ -50,22 +51,36 @@ def refusal(tmp_path, text: str, code: str, **options) -> UnbendError:
         ("rad", "0.17453292520,0.34906585040,1.5707963268"),
     ],
 )
-def test_angles_in_each_unit_are_radians(tmp_path, unit, numbers):
-    table, notes = read(tmp_path, f"{HEAD}a,47.5,8.5,3000.5,{numbers}\n", unit=unit)
+def test_angles_in_each_unit_are_radians(unit, numbers):
+    text = f"{HEAD}a,47.5,8.5,3000.5,{numbers}\n"
+
+    table, notes = read(text, unit=unit)
+
     assert np.degrees(table.angles[0]) == pytest.approx([10.0, 20.0, 90.0], abs=1e-8)
-    assert table.position[0] == pytest.approx([np.radians(47.5), np.radians(8.5), 3000.5])
+    lat_rad, lon_rad, height_m = table.position[0]
+    assert lat_rad == pytest.approx(np.radians(47.5))
+    assert lon_rad == pytest.approx(np.radians(8.5))
+    assert height_m == 3000.5
     assert table.time_ns.tolist() == [NO_TIME]
     assert table.camera is None
     assert notes == ()
 
 
-def test_semicolons_the_camera_the_sigmas_and_the_time(tmp_path):
-    names = NAMES | {"camera": "c", "time_utc": "t", "sigma_tilt": "st", "sigma_height_m": "sh"}
-    head = "image;lat;lon;h;o;p;k;c;t;st;sh\n"
-    text = head + "a;47.5;8.5;3000;0;0;0;left;2026-05-14T10:00:00.25Z;0.5;0.1\n"
-    text += "b;47.5;8.5;3000;0;0;0;right;later;;\n"
-    table, notes = read(tmp_path, text, names)
-    assert table.camera is not None
+def test_semicolons_the_camera_the_sigmas_and_the_time():
+    names = NAMES | {
+        "camera": "c",
+        "time_utc": "t",
+        "sigma_tilt": "st",
+        "sigma_height_m": "sh",
+    }
+    text = (
+        "image;lat;lon;h;o;p;k;c;t;st;sh\n"
+        "a;47.5;8.5;3000;0;0;0;left;2026-05-14T10:00:00.25Z;0.5;0.1\n"
+        "b;47.5;8.5;3000;0;0;0;right;later;;\n"
+    )
+
+    table, notes = read(text, names)
+
     assert table.camera.tolist() == ["left", "right"]
     assert table.time_ns.tolist() == [1_778_752_800_250_000_000, NO_TIME]
     assert table.sigmas["sigma_tilt_rad"] == pytest.approx([np.radians(0.5), np.nan], nan_ok=True)
@@ -77,21 +92,25 @@ def test_semicolons_the_camera_the_sigmas_and_the_time(tmp_path):
     assert "line 3" in entry.what
 
 
-def test_gps_week_and_seconds(tmp_path):
+def test_gps_week_and_seconds():
     names = NAMES | {"gps_week": "w", "gps_seconds": "s"}
-    table, _ = read(tmp_path, HEAD[:-1] + ",w,s\n" + ROW[:-1] + ",2200,18.5\n", names)
+    text = f"{HEAD.strip()},w,s\n{ROW.strip()},2200,18.5\n"
+
+    table, _ = read(text, names)
+
     # 2022-03-06 00:00:00 of GPS is the start of week 2200, 18 s ahead of UTC.
     assert table.time_ns.tolist() == [1_646_524_800_500_000_000]
 
 
-def test_what_is_empty_is_unknown(tmp_path):
-    table, _ = read(tmp_path, HEAD + "a,,8.5,,,-2,90\n")
+def test_what_is_empty_is_unknown():
+    table, _ = read(HEAD + "a,,8.5,,,-2,90\n")
     assert np.isnan(table.position[0, [0, 2]]).all()
     assert np.isnan(table.angles[0, 0])
 
 
-def test_a_column_that_is_not_there(tmp_path):
-    error = refusal(tmp_path, HEAD.replace(",k", ",kap") + ROW, "ORIENTATION-COLUMN")
+def test_a_column_that_is_not_there():
+    text = HEAD.replace(",k", ",kap") + ROW
+    error = refusal(text, "ORIENTATION-COLUMN")
     assert "stations.orientation.columns.kappa" in error.remedy
 
 
@@ -107,51 +126,66 @@ def test_a_column_that_is_not_there(tmp_path):
         'image,lat,lon,h,o,p,k\na,"47°30\'0""N","8 deg 30\' 0"" E",3000.5,1,-2,90\n',
     ],
 )
-def test_every_form_of_a_table_is_the_same_table(tmp_path, text):
-    table, entries = read(tmp_path, text)
-    plain, _ = read(tmp_path, HEAD + ROW)
+def test_every_form_of_a_table_is_the_same_table(text):
+    plain, _ = read(HEAD + ROW)
+
+    table, entries = read(text)
+
     assert table.image.tolist() == ["a"]
     assert table.position == pytest.approx(plain.position)
     assert table.angles == pytest.approx(plain.angles)
     assert not entries
 
 
-def test_commas_that_may_be_thousands_are_refused(tmp_path):
-    error = refusal(tmp_path, HEAD + 'a,47.5,8.5,"3,000",1,-2,90\n', "ORIENTATION-NUMBER")
+def test_commas_that_may_be_thousands_are_refused():
+    text = HEAD + 'a,47.5,8.5,"3,000",1,-2,90\n'
+    error = refusal(text, "ORIENTATION-NUMBER")
     assert "'3,000'" in error.what
     assert error.where.endswith("line 2")
 
 
-def test_lines_are_counted_from_the_begin_of_the_file(tmp_path):
-    text = "# Cameras\n\n# image, lat, lon, h, o, p, k\n" + ROW + ROW.replace("1.0", "x")
-    assert "4, 5" in refusal(tmp_path, text, "ORIENTATION-REPEATED").what
-    text = text.replace("\na,47.5,8.5,3000.5,x", "\nb,47.5,8.5,3000.5,x")
-    assert refusal(tmp_path, text, "ORIENTATION-NUMBER").where.endswith("line 5")
+def test_lines_are_counted_from_the_begin_of_the_file():
+    head = "# Cameras\n\n# image, lat, lon, h, o, p, k\n"
+    wrong = ROW.replace("1.0", "x")
+
+    repeated = refusal(head + ROW + wrong, "ORIENTATION-REPEATED")
+    assert "4, 5" in repeated.what
+
+    wrong = wrong.replace("a,", "b,")
+    no_number = refusal(head + ROW + wrong, "ORIENTATION-NUMBER")
+    assert no_number.where.endswith("line 5")
 
 
-def test_columns_of_a_table_without_a_head_have_numbers(tmp_path):
+def test_columns_of_a_table_without_a_head_have_numbers():
     """As orthority takes it."""
     names = dict(zip(NAMES, "1324567", strict=True))
-    table, _ = read(tmp_path, "a 8.5 47.5 3000.5 1 -2 90\nb 8.6 47.5 3000.5 1 -2 90\n", names)
+    text = "a 8.5 47.5 3000.5 1 -2 90\nb 8.6 47.5 3000.5 1 -2 90\n"
+
+    table, _ = read(text, names)
+
     assert table.image.tolist() == ["a", "b"]
     assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
-    error = refusal(tmp_path, "a 8.5 47.5 1\nb 8.6 47.5 2\n", "ORIENTATION-COLUMN")
+    error = refusal("a 8.5 47.5 1\nb 8.6 47.5 2\n", "ORIENTATION-COLUMN")
     assert "no header: its columns are named 1 to 4" in error.what
 
 
-def test_the_table_of_opendronemap_has_the_names_of_its_manual(tmp_path):
-    angles = ("roll", "pitch", "yaw")
-    names = {name: name for name in ("image", "latitude", "longitude", "height", *angles)}
-    text = "EPSG:4326\nDJI_0028.JPG -91.99 46.84 198.6 45 -90 2\n"
-    text += "DJI_0032.JPG -91.98 46.84 198.6 45 -90 2\n"
-    table, _ = read(tmp_path, text, names, angles)
+def test_the_table_of_opendronemap_has_the_names_of_its_manual():
+    names = ("image", "latitude", "longitude", "height", "roll", "pitch", "yaw")
+    text = (
+        "EPSG:4326\n"
+        "DJI_0028.JPG -91.99 46.84 198.6 45 -90 2\n"
+        "DJI_0032.JPG -91.98 46.84 198.6 45 -90 2\n"
+    )
+
+    table, _ = read(text, dict(zip(names, names, strict=True)))
+
     assert np.degrees(table.position[0, :2]) == pytest.approx([46.84, -91.99])
     assert np.degrees(table.angles[0]) == pytest.approx([2, -90, 45])
 
 
-def test_a_table_without_rows_and_none_at_all(tmp_path):
-    refusal(tmp_path, HEAD, "ORIENTATION-EMPTY")
-    refusal(tmp_path, "", "ORIENTATION-CSV")
+def test_a_table_without_rows_and_none_at_all():
+    refusal(HEAD, "ORIENTATION-EMPTY")
+    refusal("", "ORIENTATION-CSV")
 
 
 @pytest.mark.parametrize(
@@ -162,44 +196,64 @@ def test_a_table_without_rows_and_none_at_all(tmp_path):
         ("5300.0", "deg", ""),
     ],
 )
-def test_angles_of_another_unit_and_columns_of_something_else(tmp_path, kappa, unit, words):
-    error = refusal(tmp_path, HEAD + ROW.replace("90.0", kappa), "ORIENTATION-UNIT", unit=unit)
+def test_angles_of_another_unit_and_columns_of_something_else(kappa, unit, words):
+    text = HEAD + ROW.replace("90.0", kappa)
+    error = refusal(text, "ORIENTATION-UNIT", unit=unit)
     assert words in error.what
     assert ("is the unit" in error.what) == (words != "")
 
 
-def test_latitude_and_longitude_swapped(tmp_path):
+def test_latitude_and_longitude_swapped():
     text = HEAD + ROW.replace("47.5,8.5", "151.2,-33.9")
-    assert "longitude exchanged?" in refusal(tmp_path, text, "ORIENTATION-POSITION").what
+    assert "longitude exchanged?" in refusal(text, "ORIENTATION-POSITION").what
 
 
-def test_places_of_a_projection(tmp_path):
+def test_places_of_a_projection():
     text = HEAD + ROW.replace("47.5,8.5", "5262000.0,612000.0")
-    error = refusal(tmp_path, text, "ORIENTATION-POSITION")
+    error = refusal(text, "ORIENTATION-POSITION")
     assert "exchanged" not in error.what
     assert "projected" in error.remedy
 
 
-def test_quaternions_that_are_none(tmp_path):
-    names = {"image": "i", "x": "x", "y": "y", "z": "z"} | {f"q_{a}": f"q{a}" for a in "wxyz"}
-    axes = ("q_w", "q_x", "q_y", "q_z")
+def test_quaternions_that_are_none():
+    names = {
+        "image": "i",
+        "x": "x",
+        "y": "y",
+        "z": "z",
+        "q_w": "qw",
+        "q_x": "qx",
+        "q_y": "qy",
+        "q_z": "qz",
+    }
     head = "i,x,y,z,qw,qx,qy,qz\n"
-    table, _ = read(tmp_path, head + "a,1,2,3,0.0,0.6,0.8,0.0003\n", names, axes)
+
+    table, _ = read(head + "a,1,2,3,0.0,0.6,0.8,0.0003\n", names)
+
     assert np.linalg.norm(table.angles[0]) == pytest.approx(1.0, abs=1e-15)
     assert table.position.tolist() == [[1.0, 2.0, 3.0]]
+
     text = head + "a,1,2,3,0,0.6,0.8,0\nb,1,2,3,0.5,0.6,0.8,0\n"
-    error = refusal(tmp_path, text, "ORIENTATION-QUATERNION", names=names, angles=axes)
+    error = refusal(text, "ORIENTATION-QUATERNION", names=names)
     assert error.where.endswith("line 3")
     assert "1.11803" in error.what
 
 
-def test_known_positions(tmp_path):
-    path = tmp_path / "known.csv"
+def test_known_positions():
+    path = Path("known.csv")
     path.write_text("name,b,l,h\nx,47.0,8.0,2500\n", encoding="utf-8")
-    names = {"image": "name", "latitude": "b", "longitude": "l", "height": "h"}
+    names = {
+        "image": "name",
+        "latitude": "b",
+        "longitude": "l",
+        "height": "h",
+    }
+
     image, position = read_known_positions(path, names)
+
     assert image.tolist() == ["x"]
-    assert position[0] == pytest.approx([np.radians(47.0), np.radians(8.0), 2500.0])
+    assert np.degrees(position[0, :2]) == pytest.approx([47.0, 8.0])
+    assert position[0, 2] == 2500.0
     with refused("ORIENTATION-COLUMN"):
         read_known_positions(path, names | {"height": "hoehe"})
 
@@ -209,20 +263,24 @@ OWN = (
     "sigma_horizontal_m,sigma_height_m,sigma_tilt_deg,sigma_yaw_deg"
 )
 OWN_ROW = "a,nadir,ok,2026-05-01 08:20:30.5Z,47.5,8.5,3000.5,1.0,-2.0,90.0,0.5,0.75,0.01,0.02"
+OWN_TABLE = f"{OWN}\n{OWN_ROW}\n"
 DEFAULTS = {name: name for name in NAMES}
 UNSTATED = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 
 
-def read_by_defaults(tmp_path, text: str, **stated):
-    (tmp_path / "own.csv").write_text(text, encoding="utf-8")
+def read_by_defaults(text: str, **options):
+    path = Path("own.csv")
+    path.write_text(text, encoding="utf-8")
+    settings = Stated(columns=DEFAULTS, heights="ellipsoid", **options)
     ledger = Ledger()
-    given = Stated(columns=DEFAULTS, heights="ellipsoid", **stated)
-    return read_orientation(tmp_path / "own.csv", given, ledger), ledger
+    return read_orientation(path, settings, ledger), ledger
 
 
-def test_our_own_table_is_read_without_columns(tmp_path):
-    table, ledger = read_by_defaults(tmp_path, f"{OWN}\n{OWN_ROW}\n", unstated=UNSTATED)
-    plain, _ = read(tmp_path, HEAD + ROW)
+def test_our_own_table_is_read_without_columns():
+    plain, _ = read(HEAD + ROW)
+
+    table, ledger = read_by_defaults(OWN_TABLE, unstated=UNSTATED)
+
     assert table.position == pytest.approx(plain.position)
     assert table.angles == pytest.approx(plain.angles)
     assert table.camera.tolist() == ["nadir"]
@@ -233,44 +291,50 @@ def test_our_own_table_is_read_without_columns(tmp_path):
     assert "latitude from lat_deg" in names.what
 
 
-def test_what_is_stated_is_not_taken_from_our_own_table(tmp_path):
-    table, _ = read_by_defaults(tmp_path, f"{OWN}\n{OWN_ROW}\n", unstated=("camera",))
+def test_what_is_stated_is_not_taken_from_our_own_table():
+    table, _ = read_by_defaults(OWN_TABLE, unstated=("camera",))
     assert table.time_ns.tolist() == [NO_TIME]
     assert table.sigmas == {}
 
 
-def test_our_own_table_of_stations_without_times_has_none(tmp_path):
-    row = OWN_ROW.replace("2026-05-01 08:20:30.5Z", "")
-    table, ledger = read_by_defaults(tmp_path, f"{OWN}\n{row}\n", unstated=UNSTATED)
+def test_our_own_table_of_stations_without_times_has_none():
+    text = OWN_TABLE.replace("2026-05-01 08:20:30.5Z", "")
+    table, ledger = read_by_defaults(text, unstated=UNSTATED)
     assert table.time_ns.tolist() == [NO_TIME]
     assert {entry.code for entry in ledger} == {"ORIENTATION-NAMES"}
 
 
-def test_our_own_table_in_one_frame_says_its_origin(tmp_path):
+def test_our_own_table_in_one_frame_says_its_origin():
     names = ",x_m,y_m,z_m,origin_lat_deg,origin_lon_deg,origin_h_ellipsoid_m"
     text = f"{OWN}{names}\n{OWN_ROW},1,2,3,47.25,8.5,400\n"
-    table, _ = read_by_defaults(tmp_path, text)
-    assert np.degrees([table.frame.lat_rad, table.frame.lon_rad]) == pytest.approx([47.25, 8.5])
+
+    table, _ = read_by_defaults(text)
+
+    assert np.degrees(table.frame.lat_rad) == pytest.approx(47.25)
+    assert np.degrees(table.frame.lon_rad) == pytest.approx(8.5)
     assert table.frame.h_ellipsoid_m == 400.0
 
 
 @pytest.mark.parametrize("column", ["camera", "status", *OWN.split(",")[-4:]])
-def test_a_table_that_lacks_one_of_our_columns_is_not_our_own(tmp_path, column):
-    text = f"{OWN}\n{OWN_ROW}\n".replace(column, "other")
-    table, _ = read_by_defaults(tmp_path, text, unstated=("time_utc",))
+def test_a_table_that_lacks_one_of_our_columns_is_not_our_own(column):
+    text = OWN_TABLE.replace(column, "other")
+    table, _ = read_by_defaults(text, unstated=("time_utc",))
     assert table.time_ns.tolist() == [NO_TIME]
 
 
 @pytest.mark.parametrize(
-    ("head", "stated"),
+    ("head", "settings"),
     [
         ("imageName,Latitude,Longitude,Height,Omega,Phi,Kappa", {}),
         ("PhotoID,lat,lng,h_ellipsoid_m,OMEGA,PHI,KAPPA", {}),
         ("Label,lat_deg,lon_deg,height,omega_grad,phi_grad,kappa_grad", {"angle_unit": "grad"}),
     ],
 )
-def test_usual_names_of_other_programs(tmp_path, head, stated):
-    table, _ = read_by_defaults(tmp_path, f"{head}\na,47.5,8.5,3000.5,1,-2,90\n", **stated)
+def test_usual_names_of_other_programs(head, settings):
+    text = f"{head}\na,47.5,8.5,3000.5,1,-2,90\n"
+
+    table, _ = read_by_defaults(text, **settings)
+
     assert np.degrees(table.position[0, :2]) == pytest.approx([47.5, 8.5])
     assert table.image.tolist() == ["a"]
 
@@ -283,6 +347,6 @@ def test_usual_names_of_other_programs(tmp_path, head, stated):
         "image,lat,x,lon,height,omega_grad,phi,kappa",
     ],
 )
-def test_names_that_do_not_decide_are_refusal(tmp_path, head):
+def test_names_that_do_not_decide_are_refusal(head):
     with refused("ORIENTATION-COLUMN"):
-        read_by_defaults(tmp_path, f"{head}\na,47.5,47.5,8.5,3000.5,1,-2,90\n")
+        read_by_defaults(f"{head}\na,47.5,47.5,8.5,3000.5,1,-2,90\n")

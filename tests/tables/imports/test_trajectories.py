@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pyproj
 import pytest
 from numpy.testing import assert_array_equal
@@ -15,9 +16,11 @@ from tests.tables.imports.flights import (
     TO_ECEF,
     TOW,
     WEEK,
+    assert_place,
     degrees_off,
     enu_axes,
     metres_off,
+    ns_off,
     read,
     refusal_of,
     utc_text,
@@ -32,14 +35,18 @@ OF_WEEK = Stated("gpst", WEEK, heights="ellipsoid")
 GPST = Stated("gpst", heights="ellipsoid")
 LEAP_NS = 18 * 10**9
 
+SIGMA_OF_HORIZONTAL = 1.0 / np.sqrt(2)  # of one axis, from that of both
+
 # RTKLIB
 
 
 def test_a_pos_file_is_read_to_its_last_digit(flight):
     channel, ledger = read(read_pos, flight.pos())
-    assert np.array_equal(channel.time_ns, flight.utc_ns)
+
+    assert_array_equal(channel.time_ns, flight.utc_ns)
     assert metres_off(channel, flight) < 2e-4
-    assert channel["sigma_h_m"][0] == pytest.approx(np.hypot(0.011, 0.007) / np.sqrt(2))
+    sigma_m = np.hypot(0.011, 0.007) * SIGMA_OF_HORIZONTAL
+    assert channel["sigma_h_m"][0] == pytest.approx(sigma_m)
     assert channel["sigma_v_m"][0] == 0.021
     assert "100.0 % fixed" in with_code(ledger, "TRAJECTORY-QUALITY")[0].what
     assert not ledger.has_losses
@@ -57,20 +64,28 @@ def test_a_published_file_in_earth_centred_coordinates(flight, sign):
         "2024/05/18 00:00:30.000   3655333.8112   1403901.0398   5018037.9883   1   8   0.0117   "
         "0.0063   0.0128   0.0056   0.0048   0.0097   0.00    2.6\n"
     )
-    path = flight.put("wutr.pos", text.replace("0.0056", f"{sign * 0.0056:.4f}"))
+    xy = sign * 0.0056
+    path = flight.put("wutr.pos", text.replace("0.0056", f"{xy:.4f}"))
+
     channel, _ = read(read_pos, path)
+
     ecef = (3655333.8112, 1403901.0398, 5018037.9883)
     lon, lat, height = TO_ECEF.transform(*ecef, direction="INVERSE")
-    assert np.degrees(channel["lat_rad"][1]) == pytest.approx(lat, abs=1e-10)
-    assert np.degrees(channel["lon_rad"][1]) == pytest.approx(lon, abs=1e-10)
+    assert_place(channel, 1, lat, lon)
     assert channel["h_ellipsoid_m"][1] == pytest.approx(height, abs=1e-5)
     # The covariance of the second row, turned to east, north, up.
-    xy = sign * 0.0056
-    root = np.array([[0.0117, xy, 0.0097], [xy, 0.0063, 0.0048], [0.0097, 0.0048, 0.0128]])
+    root = np.array(
+        [
+            [0.0117, xy, 0.0097],
+            [xy, 0.0063, 0.0048],
+            [0.0097, 0.0048, 0.0128],
+        ]
+    )
+    covariance = root * np.abs(root)
     axes = enu_axes(lat, lon)
-    east, north, up = np.diag(axes @ (root * np.abs(root)) @ axes.T)
-    assert channel["sigma_v_m"][1] == pytest.approx(np.sqrt(up), rel=1e-6)
-    assert channel["sigma_h_m"][1] == pytest.approx(np.sqrt((east + north) / 2))
+    east, north, up = np.diag(axes @ covariance @ axes.T)
+    assert channel["sigma_v_m"][1] ** 2 == pytest.approx(up, rel=2e-6)
+    assert channel["sigma_h_m"][1] ** 2 == pytest.approx((east + north) / 2)
     assert utc_text(channel, 1) == "2024-05-18T00:00:12.000000000"
 
 
@@ -82,11 +97,14 @@ def test_week_and_seconds_commas_and_minutes(flight):
         "%  UTC,latitude(d'\"),longitude(d'\"),height(m),Q,ns,sdn(m),sde(m),sdu(m)\n"
         "2417,302400.250,-47,18,30.6,-0,30,0.36,1453.1,1,9,0.1,0.2,0.3\n",
     )
+
     channel, _ = read(read_pos, path)
-    assert np.degrees(channel["lat_rad"][0]) == pytest.approx(-(47 + 18 / 60 + 30.6 / 3600))
-    assert np.degrees(channel["lon_rad"][0]) == pytest.approx(-(0.5 + 0.36 / 3600))
+
+    lat = 47 + 18 / 60 + 30.6 / 3600
+    lon = 0.5 + 0.36 / 3600
+    assert_place(channel, 0, -lat, -lon)
     assert channel["h_msl_m"][0] == 1453.1
-    assert channel["sigma_h_m"][0] == pytest.approx(np.sqrt((0.01 + 0.04) / 2))
+    assert channel["sigma_h_m"][0] ** 2 == pytest.approx((0.01 + 0.04) / 2)
     assert channel.time_ns[0] == flight.utc_ns[0] + LEAP_NS + 250_000_000
 
 
@@ -99,22 +117,38 @@ BASELINE = (
 
 
 @pytest.mark.parametrize(
-    "base", ["47.300000000    8.500000000", "47 18 00.00000     8 30 00.00000"]
+    "base",
+    [
+        "47.300000000    8.500000000",
+        "47 18 00.00000     8 30 00.00000",
+    ],
 )
 def test_baselines_start_at_the_base(flight, base):
-    channel, _ = read(read_pos, flight.put("a.pos", BASELINE.format(base)))
+    path = flight.put("a.pos", BASELINE.format(base))
+
+    channel, _ = read(read_pos, path)
+
     start = np.array(TO_ECEF.transform(8.5, 47.3, 1500.0))
     end = start + [1000.0, -2000.0, 30.0] @ enu_axes(47.3, 8.5)
     lon, lat, height = TO_ECEF.transform(*end, direction="INVERSE")
-    assert np.degrees(channel["lat_rad"][0]) == pytest.approx(lat, abs=1e-9)
-    assert np.degrees(channel["lon_rad"][0]) == pytest.approx(lon, abs=1e-9)
+    assert_place(channel, 0, lat, lon)
     assert channel["h_ellipsoid_m"][0] == pytest.approx(height, abs=1e-4)
     assert utc_text(channel, 0).startswith("2026-05-06T12:00:00.0")
 
 
-@pytest.mark.parametrize("base", ["", "47 75 00.0 8 30 00.0", "97.3 8.5", "47.3", "north east"])
+@pytest.mark.parametrize(
+    "base",
+    [
+        "",
+        "47 75 00.0 8 30 00.0",
+        "97.3 8.5",
+        "47.3",
+        "north east",
+    ],
+)
 def test_baselines_without_a_base_are_refused(flight, base):
-    assert "ref pos" in refusal_of(read_pos, flight.put("b.pos", BASELINE.format(base))).what
+    path = flight.put("b.pos", BASELINE.format(base))
+    assert "ref pos" in refusal_of(read_pos, path).what
 
 
 def test_velocities_of_a_pos_file_point_down(flight):
@@ -124,14 +158,20 @@ def test_velocities_of_a_pos_file_point_down(flight):
         "%  GPST latitude(deg) longitude(deg) height(m) Q ns vn(m/s) ve(m/s) vu(m/s)\n"
         "2026/05/06 12:00:00.000 47.3 8.5 1500.0 1 9 3.0 4.0 -1.5\n",
     )
+
     channel, _ = read(read_pos, path)
-    assert [channel[f"v_{a}_m_s"][0] for a in ("north", "east", "down")] == [3.0, 4.0, 1.5]
+
+    assert channel["v_north_m_s"].tolist() == [3.0]
+    assert channel["v_east_m_s"].tolist() == [4.0]
+    assert channel["v_down_m_s"].tolist() == [1.5]
 
 
 def test_single_point_fixes_get_their_sigma_and_are_told(flight):
     quality = np.ones(flight.t.size, int)
     quality[100:130] = 5
+
     channel, ledger = read(read_pos, flight.pos(quality=quality))
+
     (single,) = with_code(ledger, "TRAJECTORY-SINGLE")
     assert single.kind == "warning"
     assert single.count == 30
@@ -146,25 +186,33 @@ def test_damaged_and_repeated_rows_are_counted(flight):
     lines[20] = lines[20].replace("2026/05/06", "2026/15/66")
     lines.append(lines[30])
     path.write_text("".join(lines))
+
     channel, ledger = read(read_pos, path)
+
     assert len(channel) == flight.t.size - 2
-    losses = [(entry.kind, entry.count) for entry in with_code(ledger, "IMPORT-ROWS")]
-    assert losses == [("loss", 2), ("loss", 1)]
+    damaged, repeated = with_code(ledger, "IMPORT-ROWS")
+    assert damaged.kind == repeated.kind == "loss"
+    assert damaged.count == 2
+    assert repeated.count == 1
 
 
 @pytest.mark.parametrize("is_head", [True, False])
 def test_a_pos_file_without_its_header_or_its_rows_is_refused(flight, is_head):
     lines = flight.pos().read_text().splitlines(keepends=True)
-    half = "".join(line for line in lines if line.startswith("%") == is_head)
-    assert refusal_of(read_pos, flight.put("half.pos", half)).code == "IMPORT-FORMAT"
+    half = [line for line in lines if line.startswith("%") == is_head]
+    path = flight.put("half.pos", "".join(half))
+    assert refusal_of(read_pos, path).code == "IMPORT-FORMAT"
 
 
 def test_what_is_stated_against_a_header_holds_and_is_told(flight):
-    channel, ledger = read(read_pos, flight.pos(), Stated(time_system="utc", heights="msl"))
-    contradicted = with_code(ledger, "IMPORT-CONTRADICTED")
-    assert [entry.kind for entry in contradicted] == ["warning", "warning"]
-    assert "time.system is gpst in its header and utc in the mission file" in contradicted[0].what
-    assert np.array_equal(channel.time_ns, flight.utc_ns + LEAP_NS)
+    settings = Stated(time_system="utc", heights="msl")
+
+    channel, ledger = read(read_pos, flight.pos(), settings)
+
+    of_time, of_height = with_code(ledger, "IMPORT-CONTRADICTED")
+    assert of_time.kind == of_height.kind == "warning"
+    assert "time.system is gpst in its header and utc in the mission file" in of_time.what
+    assert_array_equal(channel.time_ns, flight.utc_ns + LEAP_NS)
     assert channel["h_msl_m"] == pytest.approx(flight.height, abs=1e-3)
 
 
@@ -173,24 +221,30 @@ def test_what_is_stated_against_a_header_holds_and_is_told(flight):
 
 @pytest.mark.parametrize("wander_deg", [0.0, 1.3, -40.0])
 def test_an_sbet_and_its_sigmas_are_read(flight, wander_deg):
-    stated = replace(OF_WEEK, accuracy=flight.smrmsg())
-    channel, ledger = read(read_sbet, flight.sbet(wander_deg=wander_deg), stated)
-    assert np.abs(channel.time_ns - flight.utc_ns).max() < 100
+    settings = replace(OF_WEEK, accuracy=flight.smrmsg())
+
+    channel, ledger = read(read_sbet, flight.sbet(wander_deg=wander_deg), settings)
+
+    assert {entry.kind for entry in ledger} == {"note"}
+    assert ns_off(channel, flight) < 100
     assert metres_off(channel, flight) < 1e-4
     assert degrees_off(channel, flight) < 1e-6
-    assert channel["sigma_h_m"] == pytest.approx(0.05 / np.sqrt(2))
+    assert channel["sigma_h_m"] == pytest.approx(0.05 * SIGMA_OF_HORIZONTAL)
     assert channel["sigma_v_m"] == pytest.approx(0.05)
-    assert np.degrees(channel["sigma_tilt_rad"]) == pytest.approx(1.0 / 60.0 / np.sqrt(2))
+    sigma_tilt_deg = 1.0 / 60.0 * SIGMA_OF_HORIZONTAL
+    assert np.degrees(channel["sigma_tilt_rad"]) == pytest.approx(sigma_tilt_deg)
     assert np.degrees(channel["sigma_yaw_rad"]) == pytest.approx(0.05)
     velocity = [channel[f"v_{axis}_m_s"] for axis in ("north", "east", "down")]
     assert_within(velocity, flight.velocity.T, 1e-9)
     rates = [channel[f"rate_{axis}_rad_s"] for axis in "xyz"]
     assert_array_equal(rates, flight.sbet_rows()[:, 14:17].T)
-    assert {entry.kind for entry in ledger} == {"note"}
 
 
 def test_the_other_sign_of_the_wander_angle_is_recognised_by_the_velocities(flight):
-    channel, ledger = read(read_sbet, flight.sbet(wander_deg=5.0, sign=-1.0), OF_WEEK)
+    path = flight.sbet(wander_deg=5.0, sign=-1.0)
+
+    channel, ledger = read(read_sbet, path, OF_WEEK)
+
     assert degrees_off(channel, flight) < 1e-6
     (wander,) = with_code(ledger, "IMPORT-WANDER")
     assert wander.kind == "warning"
@@ -200,7 +254,9 @@ def test_the_other_sign_of_the_wander_angle_is_recognised_by_the_velocities(flig
 def test_without_velocities_the_course_decides_the_sign(flight):
     rows = flight.sbet_rows(wander_deg=30.0, sign=-1.0)
     rows[:, 4:7] = 0.0
+
     channel, ledger = read(read_sbet, flight.sbet(rows=rows), OF_WEEK)
+
     assert degrees_off(channel, flight) < 1e-6
     assert "v_north_m_s" not in channel.columns
     assert "heading and course" in with_code(ledger, "IMPORT-WANDER")[0].what
@@ -210,7 +266,9 @@ def test_where_neither_sign_fits_it_is_told(flight):
     rows = flight.sbet_rows(wander_deg=20.0)
     rows[:, 4:7] = 0.0
     rows[:, 9] += np.radians(90.0)
+
     _, ledger = read(read_sbet, flight.sbet(rows=rows), OF_WEEK)
+
     (wander,) = with_code(ledger, "IMPORT-WANDER")
     assert wander.kind == "warning"
     assert "do not decide" in wander.what
@@ -221,7 +279,9 @@ def test_velocities_and_rates_of_another_frame_are_left_out(flight):
     rows[:, 4] = 40.0  # forward, as some programs write it
     rows[:, 5] = 0.0
     rows[:, 14:17] = 0.0
+
     channel, ledger = read(read_sbet, flight.sbet(rows=rows), OF_WEEK)
+
     assert with_code(ledger, "IMPORT-VELOCITY")[0].kind == "warning"
     assert "v_north_m_s" not in channel.columns
     assert "rate_x_rad_s" not in channel.columns
@@ -231,23 +291,30 @@ def test_velocities_and_rates_of_another_frame_are_left_out(flight):
 def test_the_week_is_that_of_the_log_and_midnight_of_saturday_is_passed(flight, days):
     rows = flight.sbet_rows()
     rows[:, 0] = (rows[:, 0] + 302_300.0) % 604_800.0  # the week ends after 100 s
-    times_ns = flight.utc_ns + 302_300 * 10**9
-    around_ns = int(times_ns[0]) - days * 86_400 * 10**9, int(times_ns[-1])
-    stated = replace(GPST, around_ns=around_ns)
-    channel, _ = read(read_sbet, flight.sbet(rows=rows), stated)
-    assert np.abs(channel.time_ns - times_ns).max() < 100
-    assert refusal_of(read_sbet, flight.sbet(rows=rows), GPST).code == "IMPORT-WEEK"
+    path = flight.sbet(rows=rows)
+    later_ns = 302_300 * 10**9
+    begin_ns, *_, end_ns = (flight.utc_ns + later_ns).tolist()
+    begin_ns -= days * 86_400 * 10**9
+    settings = replace(GPST, around_ns=(begin_ns, end_ns))
+
+    channel, _ = read(read_sbet, path, settings)
+
+    assert ns_off(channel, flight, later_ns) < 100
+    assert refusal_of(read_sbet, path, GPST).code == "IMPORT-WEEK"
 
 
 def test_seconds_of_the_week_in_utc_have_no_leap_seconds(flight):
-    channel, _ = read(read_sbet, flight.sbet(), replace(OF_WEEK, time_system="utc"))
-    assert np.abs(channel.time_ns - flight.utc_ns - LEAP_NS).max() < 100
+    settings = replace(OF_WEEK, time_system="utc")
+    channel, _ = read(read_sbet, flight.sbet(), settings)
+    assert ns_off(channel, flight, LEAP_NS) < 100
 
 
 def test_a_cut_sbet_is_a_loss_of_its_last_row(flight):
     path = flight.sbet()
     path.write_bytes(path.read_bytes()[:-40])
+
     channel, ledger = read(read_sbet, path, OF_WEEK)
+
     assert len(channel) == flight.t.size - 1
     (cut,) = with_code(ledger, "IMPORT-CUT")
     assert cut.kind == "loss"
@@ -263,7 +330,8 @@ SPOILT_SBETS = {
 
 @pytest.mark.parametrize("words", SPOILT_SBETS)
 def test_what_is_no_sbet_is_refused_with_what_it_is(flight, words):
-    path = flight.put("bad.out", SPOILT_SBETS[words](flight.sbet_rows()))
+    spoil = SPOILT_SBETS[words]
+    path = flight.put("bad.out", spoil(flight.sbet_rows()))
     error = refusal_of(read_sbet, path, OF_WEEK)
     assert error.code == "IMPORT-FORMAT"
     assert words in error.what
@@ -291,16 +359,24 @@ def test_columns_that_no_sbet_has_are_refused(flight, column, change, code, word
 def test_sigmas_are_no_sbet_and_those_of_another_flight_and_none_are_refused(flight):
     path = flight.sbet()
     assert "smrmsg" in refusal_of(read_sbet, flight.smrmsg(), OF_WEEK).what
-    later = flight.at(flight.t + 5000.0).smrmsg()
-    error = refusal_of(read_sbet, path, replace(OF_WEEK, accuracy=later))
-    assert "seconds of the week" in error.what
-    error = refusal_of(read_sbet, path, replace(OF_WEEK, accuracy=path))
-    assert "not a smrmsg" in error.what
+
+    later = flight.at_times(flight.t + 5000.0).smrmsg()
+    with_later_sigmas = replace(OF_WEEK, accuracy=later)
+    assert "seconds of the week" in refusal_of(read_sbet, path, with_later_sigmas).what
+
+    with_itself = replace(OF_WEEK, accuracy=path)
+    assert "not a smrmsg" in refusal_of(read_sbet, path, with_itself).what
 
 
-@pytest.mark.parametrize("stated", [Stated(heights="msl"), Stated("gpst", WEEK)])
-def test_what_an_sbet_does_not_say_must_be_stated(flight, stated):
-    assert refusal_of(read_sbet, flight.sbet(), stated).code == "IMPORT-UNSTATED"
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Stated(heights="msl"),
+        Stated("gpst", WEEK),
+    ],
+)
+def test_what_an_sbet_does_not_say_must_be_stated(flight, settings):
+    assert refusal_of(read_sbet, flight.sbet(), settings).code == "IMPORT-UNSTATED"
 
 
 # CSV
@@ -315,69 +391,78 @@ def gps_times(flight) -> list[str]:
     return [flight.gpst(k) for k in range(flight.t.size)]
 
 
-def write_csv(flight, header: str, times, *columns):
-    """A CSV of times and numbers."""
+def write_csv(flight, header: str, *columns, times=None):
+    """A CSV of times, without any those of the flight in GPS time, and numbers."""
     rows = [header]
-    for time, *numbers in zip(times, *columns, strict=True):
-        rows.append(",".join([time, *(f"{number:.9f}" for number in numbers)]))
+    for time, *numbers in zip(times or gps_times(flight), *columns, strict=True):
+        words = [f"{number:.9f}" for number in numbers]
+        rows.append(",".join([time, *words]))
     return flight.put("t.csv", "\n".join(rows) + "\n")
 
 
-FORMS = {
-    "dates in GPS time": (gps_times, GPST),
-    "dates in UTC": (
-        lambda flight: [f"{np.datetime64(int(time), 'ns')}Z" for time in flight.utc_ns],
-        Stated("utc", heights="ellipsoid"),
-    ),
-    "of the week": (lambda flight: [f"{TOW + t:.3f}" for t in flight.t], OF_WEEK),
-    "since 1980": (lambda flight: [f"{WEEK * 604_800 + TOW + t:.3f}" for t in flight.t], GPST),
-    "since 1970": (
-        lambda flight: [f"{time / 1e9:.3f}" for time in flight.utc_ns],
-        Stated("utc", heights="ellipsoid"),
-    ),
-}
+def utc_dates(flight) -> list[str]:
+    return [f"{np.datetime64(int(time), 'ns')}Z" for time in flight.utc_ns]
+
+
+def seconds_of_week(flight) -> list[str]:
+    return [f"{TOW + t:.3f}" for t in flight.t]
+
+
+def seconds_since_1980(flight) -> list[str]:
+    return [f"{WEEK * 604_800 + TOW + t:.3f}" for t in flight.t]
+
+
+def seconds_since_1970(flight) -> list[str]:
+    return [f"{time / 1e9:.3f}" for time in flight.utc_ns]
+
+
+UTC = Stated("utc", heights="ellipsoid")
 
 
 @pytest.mark.parametrize(
-    ("form", "mark"),
+    ("times", "settings", "mark"),
     [
-        ("dates in GPS time", ","),
-        ("dates in UTC", ";"),
-        ("of the week", "\t"),
-        ("since 1980", ","),
-        ("since 1970", ";"),
+        (gps_times, GPST, ","),
+        (utc_dates, UTC, ";"),
+        (seconds_of_week, OF_WEEK, "\t"),
+        (seconds_since_1980, GPST, ","),
+        (seconds_since_1970, UTC, ";"),
     ],
 )
-def test_a_csv_has_its_times_in_any_of_five_forms(flight, form, mark):
-    times, stated = FORMS[form]
-    places = (flight.lat, flight.lon, flight.height)
-    path = write_csv(flight, "t,lat,lon,h", times(flight), *places)
+def test_a_csv_has_its_times_in_any_of_five_forms(flight, times, settings, mark):
+    path = write_csv(flight, "t,lon,lat,h", *flight.places, times=times(flight))
     path.write_text(path.read_text().replace(",", mark))
-    channel, _ = read(read_trajectory_csv, path, replace(stated, columns=PLACES))
-    assert np.abs(channel.time_ns - flight.utc_ns).max() < 1000
+
+    channel, _ = read(read_trajectory_csv, path, replace(settings, columns=PLACES))
+
+    assert ns_off(channel, flight) < 1000
     assert metres_off(channel, flight) < 2e-4
 
 
 @pytest.mark.parametrize(
     ("unit", "circle", "order"),
-    [("deg", 360.0, "ZYX"), ("rad", 2 * np.pi, "XYZ"), ("grad", 400.0, "YXZ")],
+    [
+        ("deg", 360.0, "ZYX"),
+        ("rad", 2 * np.pi, "XYZ"),
+        ("grad", 400.0, "YXZ"),
+    ],
 )
 def test_angles_are_read_in_their_unit_and_order(flight, unit, circle, order):
     turns = flight.attitude.as_euler(order) / (2 * np.pi)
-    by_letter = dict(zip(order, turns.T * circle, strict=True))
-    angles = [by_letter[axis] for axis in "XYZ"]
-    places = (flight.lat, flight.lon, flight.height)
-    path = write_csv(flight, "t,lat,lon,h,r,p,y", gps_times(flight), *places, *angles)
-    stated = replace(OF_ANGLES, angle_unit=unit, angle_order=order)
-    channel, _ = read(read_trajectory_csv, path, stated)
+    angles = [turns[:, order.index(axis)] * circle for axis in "XYZ"]
+    path = write_csv(flight, "t,lon,lat,h,r,p,y", *flight.places, *angles)
+    settings = replace(OF_ANGLES, angle_unit=unit, angle_order=order)
+
+    channel, _ = read(read_trajectory_csv, path, settings)
+
     assert degrees_off(channel, flight) < 1e-6
 
 
 def test_grads_are_more_than_a_circle_of_degrees(flight):
-    yaw = np.degrees(flight.yaw) % 360.0 / 0.9
-    places = (flight.lat, flight.lon, flight.height)
-    level = np.zeros(yaw.size)
-    path = write_csv(flight, "t,lat,lon,h,r,p,y", gps_times(flight), *places, level, level, yaw)
+    yaw_grad = np.degrees(flight.yaw) % 360.0 / 0.9
+    level = np.zeros(yaw_grad.size)
+    path = write_csv(flight, "t,lon,lat,h,r,p,y", *flight.places, level, level, yaw_grad)
+
     error = refusal_of(read_trajectory_csv, path, OF_ANGLES)
     assert error.code == "IMPORT-ANGLES"
     assert "360 deg" in error.what
@@ -387,34 +472,45 @@ def test_a_projection_and_its_north(flight):
     """Lambert-93 far from its meridian: grid north is 4 degrees off, by PROJ's own geodesic."""
     to_grid = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:2154", always_xy=True)
     x, y = to_grid.transform(flight.lon, flight.lat)
-    south = to_grid.transform(x, y - 5.0, direction="INVERSE")
-    north = to_grid.transform(x, y + 5.0, direction="INVERSE")
-    turn_deg = pyproj.Geod(ellps="GRS80").inv(*south, *north)[0]
-    angles = np.degrees([flight.roll, flight.pitch, flight.yaw])
-    angles[2] = (angles[2] - turn_deg) % 360.0
-    in_grid = (flight.velocity[:, 0] + 1j * flight.velocity[:, 1]) * np.exp(
-        -1j * np.radians(turn_deg)
-    )
-    columns = (x, y, flight.height, *angles, in_grid.real, in_grid.imag)
-    path = write_csv(flight, "t,x,y,z,r,p,y_,vn,ve", gps_times(flight), *columns)
-    names = {"time": "t", "x": "x", "y": "y", "z": "z", "roll": "r", "pitch": "p", "yaw": "y_"}
-    names |= {"v_north_m_s": "vn", "v_east_m_s": "ve"}
-    stated = replace(GPST, columns=names, crs="EPSG:2154")
-    channel, ledger = read(read_trajectory_csv, path, stated)
+    below = to_grid.transform(x, y - 5.0, direction="INVERSE")
+    above = to_grid.transform(x, y + 5.0, direction="INVERSE")
+    turn_deg, *_ = pyproj.Geod(ellps="GRS80").inv(*below, *above)
+    north, east, _ = flight.velocity.T
+    in_grid = (north + 1j * east) * np.exp(-1j * np.radians(turn_deg))
+    columns = {
+        "time": gps_times(flight),
+        "x": x,
+        "y": y,
+        "z": flight.height,
+        "roll": np.degrees(flight.roll),
+        "pitch": np.degrees(flight.pitch),
+        "yaw": (np.degrees(flight.yaw) - turn_deg) % 360.0,
+        "v_north_m_s": in_grid.real,
+        "v_east_m_s": in_grid.imag,
+    }
+    table = pd.DataFrame(columns).add_suffix("_of_user")
+    path = flight.folder / "t.csv"
+    table.to_csv(path, index=False, float_format="%.9f")
+    names = dict(zip(columns, table.columns, strict=True))
+    settings = replace(GPST, columns=names, crs="EPSG:2154")
+
+    channel, ledger = read(read_trajectory_csv, path, settings)
+
     assert metres_off(channel, flight) < 2e-4
     assert degrees_off(channel, flight) < 1e-4
-    velocity = [channel["v_north_m_s"], channel["v_east_m_s"]]
-    assert_within(velocity, flight.velocity[:, :2].T, 1e-4)
+    assert_within(channel["v_north_m_s"], north, 1e-4)
+    assert_within(channel["v_east_m_s"], east, 1e-4)
     assert with_code(ledger, "CRS-DATUM")
-    unstated = replace(stated, heights=None)
+    unstated = replace(settings, heights=None)
     assert refusal_of(read_trajectory_csv, path, unstated).code == "IMPORT-UNSTATED"
 
 
 def test_earth_centred_coordinates(flight):
-    ecef = TO_ECEF.transform(flight.lon, flight.lat, flight.height)
-    path = write_csv(flight, "t,x,y,z", gps_times(flight), *ecef)
+    path = write_csv(flight, "t,x,y,z", *TO_ECEF.transform(*flight.places))
     columns = {"time": "t", "x": "x", "y": "y", "z": "z"}
+
     channel, _ = read(read_trajectory_csv, path, Stated("gpst", columns=columns))
+
     assert metres_off(channel, flight) < 3e-4
     wrong = Stated("gpst", columns=columns | {"z": "x"})
     assert refusal_of(read_trajectory_csv, path, wrong).code == "IMPORT-RANGE"
@@ -424,24 +520,49 @@ NOON = "2026-05-06T12:00:00"
 
 
 @pytest.mark.parametrize(
-    ("row", "stated", "code"),
+    ("row", "settings", "code"),
     [
-        (
+        pytest.param(
             f"{NOON},35.7,139.7,100",
             replace(GPST, columns=PLACES | {"height": "alt"}),
             "IMPORT-COLUMN",
+            id="column missing",
         ),
-        (f"{NOON},35.7,139.7,100", GPST, "IMPORT-FORMAT"),
-        (f"{NOON},139.7,35.7,100", OF_PLACES, "IMPORT-RANGE"),
-        (f"{NOON}Z,35.7,139.7,100", OF_PLACES, "IMPORT-TIME-SYSTEM"),
-        (f"{NOON}Z,35.7,139.7,100", replace(OF_PLACES, time_system=None), "IMPORT-UNSTATED"),
-        ("never,35.7,139.7,100", replace(OF_PLACES, time_system="utc"), "IMPORT-FORMAT"),
+        pytest.param(
+            f"{NOON},35.7,139.7,100",
+            GPST,
+            "IMPORT-FORMAT",
+            id="no columns",
+        ),
+        pytest.param(
+            f"{NOON},139.7,35.7,100",
+            OF_PLACES,
+            "IMPORT-RANGE",
+            id="swapped",
+        ),
+        pytest.param(
+            f"{NOON}Z,35.7,139.7,100",
+            OF_PLACES,
+            "IMPORT-TIME-SYSTEM",
+            id="zone",
+        ),
+        pytest.param(
+            f"{NOON}Z,35.7,139.7,100",
+            replace(OF_PLACES, time_system=None),
+            "IMPORT-UNSTATED",
+            id="no system",
+        ),
+        pytest.param(
+            "never,35.7,139.7,100",
+            replace(OF_PLACES, time_system="utc"),
+            "IMPORT-FORMAT",
+            id="no time",
+        ),
     ],
-    ids=["column missing", "no columns", "swapped", "zone", "no system", "no time"],
 )
-def test_a_csv_that_cannot_be_read_is_refused(flight, row, stated, code):
+def test_a_csv_that_cannot_be_read_is_refused(flight, row, settings, code):
     path = flight.put("t.csv", f"t,lat,lon,h\n{row}\n")
-    assert refusal_of(read_trajectory_csv, path, stated).code == code
+    assert refusal_of(read_trajectory_csv, path, settings).code == code
 
 
 def test_the_worst_latitude_is_said_with_its_sign(flight):

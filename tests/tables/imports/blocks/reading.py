@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.tables.observed import COLUMNS
 from unbend.errors import InputError
 from unbend.messages import Ledger
 from unbend.tables.imports.blocks import (
@@ -23,12 +24,12 @@ from unbend.tables.observations import open_observations
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "ba"
 OPENSFM = Path(__file__).resolve().parents[3] / "data" / "opensfm"
-COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 
 
 def rows(path: Path, program: str) -> pd.DataFrame:
     """The image points of a block."""
-    return pd.concat([b.to_pandas() for b in block_rows(path, program)], ignore_index=True)
+    batches = [batch.to_pandas() for batch in block_rows(path, program)]
+    return pd.concat(batches, ignore_index=True)
 
 
 def places_of(path: Path, program: str) -> dict[str, np.ndarray]:
@@ -44,23 +45,32 @@ def missed(path: Path, program: str, places: dict[str, np.ndarray]) -> np.ndarra
     camera = read_camera(path, program, None)
     image_points = rows(path, program)
     image_points = image_points[image_points["point"].isin(places)]
-    number = pd.Series(range(len(images.image)), index=images.image)
-    of_image = number[image_points["image"]].to_numpy()
+    number_of_image = pd.Series(range(len(images.image)), index=images.image)
+    number = number_of_image[image_points["image"]].to_numpy()
     ecef = np.array([places[point] for point in image_points["point"]])
-    x, y, z = turns[of_image].apply(ecef - images.position[of_image]).T
-    projected = np.stack(camera.project(x / z, y / z), axis=1)
+    steps = ecef - images.position[number]
+    rays = turns[number].apply(steps)
+    x, y, z = rays.T
+    projected = np.transpose(camera.project(x / z, y / z))
     return projected - image_points[["x_px", "y_px"]].to_numpy()
 
 
 def read_everything(path: Path, program: str) -> None:
     """All that a mission reads of a block."""
+    reader = block_reader(program)
     with damage_refused(path, program):
-        files = block_reader(program).block_files(path)
-        cameras = list(block_reader(program).read_cameras(path))
+        files = reader.block_files(path)
+        cameras = list(reader.read_cameras(path))
     assert path.is_dir() or path in files
     for name in cameras or ["1"]:
         read_camera(path, program, name)
-    open_observations(path, COLUMNS, None, Ledger(), file_format=program)
+    open_observations(
+        path,
+        COLUMNS,
+        None,
+        Ledger(),
+        file_format=program,
+    )
     read_block_images(path, program)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pycolmap
@@ -12,11 +13,13 @@ from tests.helpers import refused
 from tests.tables.checks import assert_within, refused_with
 from unbend.tables.imports.blocks import read_camera
 
-RAYS = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.4, 0.4, 7))).reshape(2, -1)
+U = np.linspace(-0.5, 0.5, 9)
+V = np.linspace(-0.4, 0.4, 7)
+RAYS = np.reshape(np.meshgrid(U, V), (2, -1))
 
 
 def projected(camera):
-    return np.stack(camera.project(*RAYS), axis=1)
+    return np.transpose(camera.project(*RAYS))
 
 
 # COLMAP
@@ -33,27 +36,38 @@ COLMAP = {
 }
 
 
-@pytest.mark.parametrize("name", ["cameras.txt", "cameras.bin"])
-def test_what_pycolmap_writes(tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("cameras.txt", pycolmap.Reconstruction.write_text),
+        ("cameras.bin", pycolmap.Reconstruction.write_binary),
+    ],
+)
+def test_what_pycolmap_writes(name, write):
+    path = Path(name)
     block = pycolmap.Reconstruction()
     for number, (model, params) in COLMAP.items():
         camera = pycolmap.Camera(
-            model=model, width=4000, height=3000, params=params, camera_id=number
+            model=model,
+            width=4000,
+            height=3000,
+            params=params,
+            camera_id=number,
         )
         block.add_camera(camera)
-    write = block.write_text if name.endswith("txt") else block.write_binary
-    write(str(tmp_path))
+    write(block, ".")
+
     rays = np.stack([*RAYS, np.ones(RAYS.shape[1])], axis=1)
     for number in (1, 2, 7, 11):
-        camera = read_camera(tmp_path / name, None, str(number))
+        camera = read_camera(path, None, str(number))
         expected = block.cameras[number].img_from_cam(rays)
         assert_within(projected(camera), expected, 1e-9)
         assert camera.width_px == 4000
         assert camera.height_px == 3000
     with refused("CAMERA-MODEL"):
-        read_camera(tmp_path / name, None, "9")
+        read_camera(path, None, "9")
     with refused_with("CAMERA-NAME", "'1', '2', '7', '9', '11'"):
-        read_camera(tmp_path / name, None, None)
+        read_camera(path, None, None)
 
 
 # OpenSfM
@@ -77,7 +91,7 @@ def opensfm_projection(camera, u, v) -> np.ndarray:
         y = v * radial + 2 * p2 * u * v + p1 * (r2 + 2 * v * v)
     focal_x = camera.get("focal", camera.get("focal_x"))
     focal_y = camera.get("focal", camera.get("focal_y"))
-    return np.stack([focal_x * x + c_x, focal_y * y + c_y], axis=1)
+    return np.transpose([focal_x * x + c_x, focal_y * y + c_y])
 
 
 MODELS = {
@@ -98,14 +112,16 @@ MODELS = {
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_opensfm(tmp_path, name):
+def test_opensfm(name):
     """Normalised by the longer side, from the centre of the image."""
-    path = tmp_path / "camera_models.json"
+    path = Path("camera_models.json")
     path.write_text(f'{{"v2 dji fc 1": {MODELS[name]}}}')
-    camera = read_camera(path, None, None)
     model = json.loads(MODELS[name])
-    size = np.array([model["width"], model["height"]])
-    expected = opensfm_projection(model, *RAYS) * size.max() + size / 2
+
+    camera = read_camera(path, None, None)
+
+    size_px = np.array([model["width"], model["height"]])
+    expected = opensfm_projection(model, *RAYS) * size_px.max() + size_px / 2
     assert_within(projected(camera), expected, 1e-9)
 
 
@@ -134,9 +150,9 @@ def calibration(numbers, kind="frame"):
     )
 
 
-def metashape_pixels(given, kind):
+def metashape_pixels(numbers, kind):
     """The formulas of the user manual's appendix on camera models."""
-    f, cx, cy, b1, b2, k1, k2, k3, k4, p1, p2 = (given.get(name, 0.0) for name in FRAME)
+    f, cx, cy, b1, b2, k1, k2, k3, k4, p1, p2 = (numbers.get(name, 0.0) for name in FRAME)
     x, y = RAYS
     if kind == "fisheye":
         r0 = np.hypot(x, y) + 1e-300
@@ -148,7 +164,7 @@ def metashape_pixels(given, kind):
     y_ = y * radial + (p2 * (r**2 + 2 * y**2) + 2 * p1 * x * y)
     x_px = 5472 * 0.5 + cx + x_ * f + x_ * b1 + y_ * b2
     y_px = 3648 * 0.5 + cy + y_ * f
-    return np.stack([x_px, y_px], axis=1)
+    return np.transpose([x_px, y_px])
 
 
 @pytest.mark.parametrize(
@@ -161,12 +177,14 @@ def metashape_pixels(given, kind):
         (("p1", "p2", "b2"), "fisheye"),
     ],
 )
-def test_metashape(tmp_path, left_out, kind):
-    given = {name: value for name, value in FRAME.items() if name not in left_out}
-    path = tmp_path / "calibration.xml"
-    path.write_text(calibration(given, kind))
+def test_metashape(left_out, kind):
+    numbers = {name: value for name, value in FRAME.items() if name not in left_out}
+    path = Path("calibration.xml")
+    path.write_text(calibration(numbers, kind))
+
     camera = read_camera(path, None, None)
-    expected = metashape_pixels(given, kind)
+
+    expected = metashape_pixels(numbers, kind)
     assert_within(projected(camera), expected, 1e-9)
     u, v, covered = camera.rays(*expected.T)
     assert covered.sum() > 40
@@ -187,16 +205,22 @@ def of_class(name, f):
     )
 
 
-def test_the_adjusted_calibration_counts(tmp_path):
-    path = tmp_path / "cameras.xml"
-    path.write_text(document(of_class("initial", 90.0) + of_class("adjusted", 95.0)))
+def test_the_adjusted_calibration_counts():
+    path = Path("cameras.xml")
+    initial = of_class("initial", 90.0)
+    adjusted = of_class("adjusted", 95.0)
+
+    path.write_text(document(initial + adjusted))
     assert read_camera(path, None, None).fx_px == 95.0
-    path.write_text(document(of_class("initial", 90.0)))
+
+    path.write_text(document(initial))
     with refused_with("IMPORT-FORMAT", "no adjusted calibration"):
         read_camera(path, None, None)
-    path.write_text(document('<property name="fixed" value="true"/>' + of_class("initial", 90.0)))
+
+    path.write_text(document('<property name="fixed" value="true"/>' + initial))
     assert read_camera(path, None, None).fx_px == 90.0
-    path.write_text(document(of_class("adjusted", 95.0), of_class("adjusted", 96.0)))
+
+    path.write_text(document(adjusted, of_class("adjusted", 96.0)))
     assert read_camera(path, None, "FC6310 1").fx_px == 96.0
 
 
@@ -226,8 +250,8 @@ def test_the_adjusted_calibration_counts(tmp_path):
         ("camera.cal", "", "IMPORT-FORMAT"),
     ],
 )
-def test_what_cannot_be_read_is_refused(tmp_path, name, content, code):
-    path = tmp_path / name
+def test_what_cannot_be_read_is_refused(name, content, code):
+    path = Path(name)
     path.write_text(content)
     with refused(code) as refusal:
         read_camera(path, None, None)

@@ -63,11 +63,13 @@ def write_psx(folder: Path, block: SmallBlock) -> Path:
 def test_a_project_of_metashape_is_its_parts(tmp_path):
     block = SmallBlock.make()
     path = write_psx(tmp_path, block)
+
     images = read_block_images(path, "metashape")
+    image_points = rows(path, "metashape")
+
     whole = read_block_images(tmp_path / "whole.xml", "metashape")
     assert_array_equal(images.position, whole.position)
     assert images.frame == "ecef"
-    image_points = rows(path, "metashape")
     ties = image_points[image_points["point"].str.startswith("tie:")]
     assert ties[["image", "point", "x_px", "y_px"]].to_numpy().tolist() == [
         ["IMG_0001.JPG", "tie:3", 10.5, 20.5],
@@ -92,7 +94,8 @@ def test_a_project_without_its_folder_names_the_way_out(tmp_path):
 def write_two_flights(path: Path, block: SmallBlock) -> str:
     """A document of twelve images, of which the last six are called as the first; its text."""
     block.write_metashape(path, reference="EPSG:4326")
-    text = path.read_text().replace('label="IMG_0007.JPG"', 'label="IMG_0001.JPG"')
+    text = path.read_text()
+    text = text.replace('label="IMG_0007.JPG"', 'label="IMG_0001.JPG"')
     text = text.replace('label="IMG_0008.JPG"', 'label="IMG_0002.JPG"')
     path.write_text(text)
     return text
@@ -116,10 +119,12 @@ def with_paths(text: str) -> str:
 
 
 @pytest.mark.parametrize("with_folders", [in_groups, with_paths])
-def test_labels_that_repeat_have_their_folders(tmp_path, with_folders):
+def test_labels_that_repeat_have_their_folders(with_folders):
     block = SmallBlock.make()
-    path = tmp_path / "s.xml"
-    path.write_text(with_folders(write_two_flights(path, block)))
+    path = Path("s.xml")
+    text = write_two_flights(path, block)
+    path.write_text(with_folders(text))
+
     names = read_block_images(path, "metashape").image.tolist()
     assert names[:3] == ["one/IMG_0001.JPG", "one/IMG_0002.JPG", "IMG_0003.JPG"]
     assert names[6:8] == ["two/IMG_0001.JPG", "two/IMG_0002.JPG"]
@@ -130,15 +135,16 @@ def test_labels_that_repeat_have_their_folders(tmp_path, with_folders):
     assert sorted(of_image["x_px"]) == sorted(expected["x_px"])
 
 
-def test_labels_that_repeat_without_folders_are_refused(tmp_path):
-    write_two_flights(tmp_path / "s.xml", SmallBlock.make())
-    assert "ORIENTATION-REPEATED" in refusal(tmp_path / "s.xml", "metashape")
+def test_labels_that_repeat_without_folders_are_refused():
+    path = Path("s.xml")
+    write_two_flights(path, SmallBlock.make())
+    assert "ORIENTATION-REPEATED" in refusal(path, "metashape")
 
 
-def test_what_a_marker_is_not_valid_for_is_left_out(tmp_path):
+def test_what_a_marker_is_not_valid_for_is_left_out():
     """Pinned by hand or found by the program are both measured."""
     block = SmallBlock.make()
-    path = tmp_path / "s.xml"
+    path = Path("s.xml")
     block.write_metashape(path, reference="EPSG:4326")
     text = path.read_text().replace('pinned="true"', 'pinned="false"', 5)
     path.write_text(text.replace('pinned="true"', 'valid="false" pinned="true"', 1))
