@@ -89,6 +89,11 @@ def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
     return found
 
 
+def first_row(lines: list[str]) -> int:
+    """The index of the first line that is neither empty nor a remark."""
+    return next(k for k, line in enumerate(lines) if line and not line.startswith("#"))
+
+
 def block_reader(program: str) -> Reader:
     """A block of a program, which is written when it is drawn the first time."""
 

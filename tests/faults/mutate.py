@@ -49,11 +49,14 @@ def mutated(data: bytes, kind: int, seed: int) -> bytes:
     if name == "truncate":
         return data[:at]
     if name == "flip_bit":
-        return data[:at] + bytes([data[at] ^ 1 << draw.randrange(8)]) + data[at + 1 :]
+        flipped = data[at] ^ 1 << draw.randrange(8)
+        return data[:at] + bytes([flipped]) + data[at + 1 :]
     if name == "overwrite_16":
-        return data[:at] + draw.randbytes(len(data[at : at + 16])) + data[at + 16 :]
+        end = min(at + 16, len(data))
+        return data[:at] + draw.randbytes(end - at) + data[end:]
     if name == "zero_4k":
-        return data[:at] + bytes(len(data[at : at + 4096])) + data[at + 4096 :]
+        end = min(at + 4096, len(data))
+        return data[:at] + bytes(end - at) + data[end:]
     end = at + draw.randint(1, LONGEST)
     if name == "delete":
         return data[:at] + data[end:]
@@ -112,7 +115,7 @@ def damage_reported(log: Log) -> bool:
 
 def fewer(log: Log, whole: Log) -> int:
     """How many messages of the whole log are not in this one, type by type."""
-    return sum((Counter(whole.messages) - Counter(log.messages)).values())
+    return (Counter(whole.messages) - Counter(log.messages)).total()
 
 
 def renamed(log: Log, whole: Log) -> bool:
@@ -160,7 +163,8 @@ class Trial:
 
     def run(self, recipe: Recipe) -> str:
         """Read one mutation; how it ended."""
-        return self.examine(recipe.file, mutated(self.logs[recipe.file], *recipe[1:]), recipe)
+        data = mutated(self.logs[recipe.file], recipe.kind, recipe.seed)
+        return self.examine(recipe.file, data, recipe)
 
     def examine(self, file: int, data: bytes, name: object) -> str:
         """Read these bytes in place of a log; how it ended."""
@@ -174,8 +178,9 @@ class Trial:
         except Exception as error:  # whatever it is, it is a bug: that is the test
             end = "failed"
             self.failures.append(f"{name}: {type(error).__name__}: {error}")
-        if peak_bytes() - before > MEMORY_BYTES:
-            self.failures.append(f"{name}: {(peak_bytes() - before) >> 20} MiB more than before")
+        more_bytes = peak_bytes() - before
+        if more_bytes > MEMORY_BYTES:
+            self.failures.append(f"{name}: {more_bytes >> 20} MiB more than before")
         self.ends[end] += 1
         return end
 
