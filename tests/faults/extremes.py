@@ -236,7 +236,7 @@ def extreme_ulog(draw: random.Random) -> bytes:
         key = f"{kind} EKF2_GPS_DELAY".encode()
         data += hostile.ulog_message("P", bytes([len(key)]) + key + value)
     for number, name in enumerate(ULOG_TOPICS):
-        data += hostile.ulog_message("A", struct.pack("<BH", 0, number) + name.encode())
+        data += hostile.subscription(number, name)
     share = draw.choice((0.02, 0.5, 1.0))
     changed = {name: some_places(len(row[0]), draw) for name, row in ULOG_TOPICS.items()}
     for k in range(60):
@@ -270,7 +270,7 @@ TLOG_MESSAGES: dict[str, dict[str, Any]] = {
         "h_acc": 0,
         "v_acc": 0,
     },
-    "scaled_pressure": hostile.pressure_fields(0),
+    "scaled_pressure": hostile.scaled_pressure(0, 0).fields,
     "camera_feedback": {
         "time_usec": 0,
         "target_system": 0,
@@ -380,7 +380,7 @@ def extreme_tlog(draw: random.Random) -> bytes:
                 fields |= {field: extreme_field(field, draw) for field in chosen[name]}
             if draw.random() < stamp_share:
                 host_us = draw.choice((0, 1, 2**63 - 1, 2**64 - 1, 2**52))
-            frames.append((1, 1, host_us, fields, name))
+            frames.append(hostile.Frame(host_us, name, fields))
     return hostile.telemetry(frames)
 
 
@@ -434,9 +434,9 @@ def extreme_mcap(draw: random.Random) -> bytes:
             ),
         }
         for number, (layout, values) in rows.items():
-            places = (
-                {p for p in changed[number] if p < len(values)} if draw.random() < share else set()
-            )
+            places = set()
+            if draw.random() < share:
+                places = {place for place in changed[number] if place < len(values)}
             if number == 1:
                 places.discard(2)  # the length of a text
             content = packed_extremes(layout, values, places, draw)
