@@ -91,7 +91,7 @@ def written(folder: Path, hostile: Hostile, n: int) -> Path:
 
 
 @pytest.mark.parametrize("name", GROWING)
-def test_twice_the_structure_is_at_most_twice_the_work(tmp_path: Path, name: str) -> None:
+def test_twice_the_structure_is_at_most_twice_the_work(tmp_path, name):
     hostile = GROWING[name]
     work = []
     memory = []
@@ -105,7 +105,7 @@ def test_twice_the_structure_is_at_most_twice_the_work(tmp_path: Path, name: str
 
 
 @pytest.mark.parametrize("name", GROWING)
-def test_what_took_minutes_is_within_the_budget(tmp_path: Path, name: str) -> None:
+def test_what_took_minutes_is_within_the_budget(tmp_path, name):
     """At the size at which it was found: CPU time is limited by what the machine does in it."""
     hostile = GROWING[name]
     path = written(tmp_path, hostile, hostile.n)
@@ -117,7 +117,7 @@ def test_what_took_minutes_is_within_the_budget(tmp_path: Path, name: str) -> No
     assert memory_of_reading(path) < FIXED_MEMORY + MEMORY_OF_INPUT * size
 
 
-def test_large_logs_may_have_more_boots_and_senders(tmp_path: Path) -> None:
+def test_large_logs_may_have_more_boots_and_senders(tmp_path):
     """A season that was joined, and a swarm, are right inputs: the limits grow with the records."""
     check_boots(1200, records=1_200_000)
     check_senders(1020, readings=255_000)

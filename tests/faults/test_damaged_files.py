@@ -142,9 +142,7 @@ READ_SLOWLY = ("netCDF-4", "GRIB")  # half a second each, a twentieth for the ot
 # h5netcdf does not clean up behind a file that it cannot open: its `close` fails when collected.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("name", FILES)
-def test_a_damaged_file_is_read_or_refused(
-    tmp_path: Path, mutation_count: int, mutation_seed: int, name: str
-) -> None:
+def test_a_damaged_file_is_read_or_refused(tmp_path, mutation_count, mutation_seed, name):
     kind = FILES[name]
     path = kind.write(tmp_path)
     sound = path.read_bytes()
@@ -165,7 +163,7 @@ def test_a_damaged_file_is_read_or_refused(
         assert refusal.remedy
 
 
-def test_a_netcdf_whose_structure_has_no_end_is_refused(tmp_path: Path) -> None:
+def test_a_netcdf_whose_structure_has_no_end_is_refused(tmp_path):
     """Zeros among the references to dimensions: the HDF5 library looped for ever."""
     path = write_netcdf(tmp_path)
     damaged = mutated(path.read_bytes(), KINDS.index("zero_4k"), 33)

@@ -104,14 +104,14 @@ def trial(tmp_path: Path) -> Trial:
     return Trial([one_boot(), two_boots()], ".bin", open_log, tmp_path)
 
 
-def test_the_small_logs_are_whole(trial: Trial) -> None:
+def test_the_small_logs_are_whole(trial):
     assert [log.boots for log in trial.whole] == [1, 2]
     for log, data in zip(trial.whole, trial.logs, strict=True):
         assert not damage_reported(log)
         assert 20_000 < len(data) < 40_000
 
 
-def test_mutations(trial: Trial, run_mutations, mutation_count: int) -> None:
+def test_mutations(trial, run_mutations, mutation_count):
     run_mutations(trial)
 
     # A bit of a name in an FMT record makes another name of it: "renamed".
@@ -123,7 +123,7 @@ def test_mutations(trial: Trial, run_mutations, mutation_count: int) -> None:
         assert KINDS[recipe.kind] in ("truncate", "delete"), recipe
 
 
-def test_the_ends_cut_byte_by_byte(trial: Trial, run_cuts) -> None:
+def test_the_ends_cut_byte_by_byte(trial, run_cuts):
     ends = run_cuts(trial)
 
     assert set(ends) <= {"complete", "reported", "unreported"} | REFUSALS, trial.summary()
@@ -155,7 +155,7 @@ def as_text(binary: Path) -> bytes:
     return "\n".join([*lines, ""]).encode()
 
 
-def test_mutations_of_logs_as_text(text_trial: Trial, run_mutations, mutation_count: int) -> None:
+def test_mutations_of_logs_as_text(text_trial, run_mutations, mutation_count):
     """A digit more or less is a number still: what is altered in a line cannot be seen."""
     run_mutations(text_trial)
 
@@ -163,15 +163,15 @@ def test_mutations_of_logs_as_text(text_trial: Trial, run_mutations, mutation_co
     assert text_trial.ends["unreported"] <= 0.02 * mutation_count, text_trial.unreported[:20]
 
 
-def test_what_was_found_stays_repaired(trial: Trial, run_corpus) -> None:
+def test_what_was_found_stays_repaired(trial, run_corpus):
     run_corpus(trial, "dataflash", {"complete", "reported"} | REFUSALS)
 
 
-def test_what_was_found_in_texts_stays_repaired(text_trial: Trial, run_corpus) -> None:
+def test_what_was_found_in_texts_stays_repaired(text_trial, run_corpus):
     run_corpus(text_trial, "dataflash_text", {"reported"})
 
 
-def test_no_log_at_all(trial: Trial) -> None:
+def test_no_log_at_all(trial):
     noise = random.Random(3).randbytes(30_000)
     assert trial.examine(0, b"", "empty") == "LOG-EMPTY"
     assert trial.examine(0, noise, "noise") == "LOG-FORMAT"

@@ -17,7 +17,6 @@ import pyarrow as pa
 import pytest
 from scipy.io import netcdf_file
 
-from tests.conftest import MissionFolder
 from tests.faults.extreme_blocks import BLOCKS, TAGS, first_row, read_block, small_blocks
 from tests.faults.extreme_inputs import LONG, impossible_values
 from tests.faults.extreme_missions import MISSIONS
@@ -60,9 +59,7 @@ LONGEST_REFUSAL = 8000  # characters: a field of 140,000 is not repeated
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_fields_at_their_limits(
-    tmp_path: Path, mutation_count: int, mutation_seed: int, kind: str
-) -> None:
+def test_fields_at_their_limits(tmp_path, mutation_count, mutation_seed, kind):
     limit_s = LONGEST_UNITS * work_unit_s()
     reader = READERS[kind]
     count = max(mutation_count // 250, 1)
@@ -86,7 +83,7 @@ def test_fields_at_their_limits(
 
 
 @pytest.mark.slow
-def test_a_run_flags_measurements_beyond_all_limits(mission: MissionFolder) -> None:
+def test_a_run_flags_measurements_beyond_all_limits(mission):
     """Each is flagged, without a corrected pixel; the rows of others do not change."""
     table = mission.measurements().to_pandas()
     assert mission.run().code == 0
@@ -152,7 +149,7 @@ def sound_rows(more: str = "", start_s: int = START_S) -> list[str]:
         (0, "9999-12-31T23:59:59Z"),
     ],
 )
-def test_a_row_without_a_place_or_a_time_is_lost(tmp_path: Path, place: int, word: str) -> None:
+def test_a_row_without_a_place_or_a_time_is_lost(tmp_path, place, word):
     rows = sound_rows()
     fields = rows[2].split(",")
     fields[place] = word
@@ -178,9 +175,7 @@ def test_a_row_without_a_place_or_a_time_is_lost(tmp_path: Path, place: int, wor
         ("v_north_m_s", "1_0"),
     ],
 )
-def test_a_value_that_no_flight_has_is_unknown_and_counted(
-    tmp_path: Path, column: str, word: str
-) -> None:
+def test_a_value_that_no_flight_has_is_unknown_and_counted(tmp_path, column, word):
     rows = sound_rows(",0.25")
     rows[2] = rows[2].replace(",0.25", f",{word}")
 
@@ -192,7 +187,7 @@ def test_a_value_that_no_flight_has_is_unknown_and_counted(
 
 
 @pytest.mark.parametrize("first", ["0", "2", "0.9", "1e308"])
-def test_a_quaternion_of_another_length_is_no_attitude(tmp_path: Path, first: str) -> None:
+def test_a_quaternion_of_another_length_is_no_attitude(tmp_path, first):
     rows = sound_rows(",1,0,0,0")
     rows[2] = rows[2].replace(",1,0,0,0", f",{first},0,0,0")
 
@@ -204,7 +199,7 @@ def test_a_quaternion_of_another_length_is_no_attitude(tmp_path: Path, first: st
     assert loss.count == 1
 
 
-def test_the_seconds_of_the_week_go_on_over_a_damaged_one(tmp_path: Path) -> None:
+def test_the_seconds_of_the_week_go_on_over_a_damaged_one(tmp_path):
     rows = sound_rows(start_s=TOW)
     rows[1] = rows[1].replace(f"{TOW + 1}.5", "1e400")
 
@@ -219,7 +214,7 @@ def test_the_seconds_of_the_week_go_on_over_a_damaged_one(tmp_path: Path) -> Non
     ("before", "word"),
     [("1500.000,Ellh", "1e308,Ellh"), ("8.50000000,Lon", "1e18,Lon")],
 )
-def test_an_event_that_is_nowhere_on_earth_is_lost(tmp_path: Path, before: str, word: str) -> None:
+def test_an_event_that_is_nowhere_on_earth_is_lost(tmp_path, before, word):
     path = tmp_path / "flight.MRK"
     path.write_text(MRK_TEXT.replace(before, word, 1), encoding="utf-8")
     ledger = Ledger()
@@ -238,9 +233,7 @@ def test_an_event_that_is_nowhere_on_earth_is_lost(tmp_path: Path, before: str, 
         ("o", "1_0", "is not a number: '1_0'"),
     ],
 )
-def test_an_orientation_that_cannot_be_is_refused_with_its_line(
-    tmp_path: Path, column: str, word: str, text: str
-) -> None:
+def test_an_orientation_that_cannot_be_is_refused_with_its_line(tmp_path, column, word, text):
     columns = {"image": "image", "latitude": "lat", "longitude": "lon", "height": "h"}
     columns |= {"omega": "o", "phi": "p", "kappa": "k"}
     first = dict(zip(columns.values(), ("a", "47.3", "8.5", "1500", "1", "2", "3"), strict=True))
@@ -266,14 +259,14 @@ def test_an_orientation_that_cannot_be_is_refused_with_its_line(
         ("0001:01:01 00:00:00", "Z"),
     ],
 )
-def test_a_time_of_an_image_that_cannot_be_is_none(text: str, zone: str) -> None:
+def test_a_time_of_an_image_that_cannot_be_is_none(text, zone):
     assert parse_time(text, zone) is None
 
 
 LOG_PRESSURES = np.linspace(11.5, 11.0, 6)
 
 
-def test_heights_that_are_the_same_imply_no_temperature() -> None:
+def test_heights_that_are_the_same_imply_no_temperature():
     """A degenerate sounding: numpy warned of its rank."""
     fall = fall_of_pressure(np.full(6, 500.0), LOG_PRESSURES)
     assert np.isfinite(fall.unexplained)
@@ -281,13 +274,13 @@ def test_heights_that_are_the_same_imply_no_temperature() -> None:
 
 
 @pytest.mark.parametrize("height", [[0.0, 1000.0] * 3, [1e-300 * k for k in range(6)]])
-def test_heights_without_a_fall_of_pressure_are_no_error(height: list[float]) -> None:
+def test_heights_without_a_fall_of_pressure_are_no_error(height):
     fall = fall_of_pressure(np.array(height), LOG_PRESSURES)
     assert np.isfinite(fall.unexplained)
 
 
 @pytest.mark.parametrize("filling", [" ", "\n", "<", "9", "m "])
-def test_a_long_field_in_the_head_of_an_orientation_takes_no_time(filling: str) -> None:
+def test_a_long_field_in_the_head_of_an_orientation_takes_no_time(filling):
     """140,000 blanks took four minutes."""
     long = LONG * filling
     text = f"Shift values: X = 0.0{long} Y = 1.0 m, Z = 2.0 m\nUTM North{long}1"
@@ -295,7 +288,7 @@ def test_a_long_field_in_the_head_of_an_orientation_takes_no_time(filling: str) 
         head_of_eo(text)
 
 
-def test_a_pressure_that_no_height_has_is_none(tmp_path: Path) -> None:
+def test_a_pressure_that_no_height_has_is_none(tmp_path):
     """5e-324 hPa overflowed with the vapour pressure above it."""
     *lines, last = PLAIN_SOUNDING.splitlines()
     height, _, *others = last.split(",")
@@ -309,7 +302,7 @@ def test_a_pressure_that_no_height_has_is_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("start", [np.inf, -np.inf, np.nan])
-def test_a_netcdf_sounding_without_a_finite_time_is_refused(tmp_path: Path, start: float) -> None:
+def test_a_netcdf_sounding_without_a_finite_time_is_refused(tmp_path, start):
     columns = {
         "pres": HECTOPASCALS,
         "tdry": CELSIUS,
@@ -348,9 +341,7 @@ def write_small_model(folder: Path) -> None:
         ("cameras.txt", 4, "-3000", "is not a possible camera"),
     ],
 )
-def test_a_number_of_a_block_that_cannot_be_is_refused(
-    tmp_path: Path, name: str, field: int, word: str, text: str
-) -> None:
+def test_a_number_of_a_block_that_cannot_be_is_refused(tmp_path, name, field, word, text):
     write_small_model(tmp_path)
     path = tmp_path / name
     lines = path.read_text().splitlines()
@@ -366,7 +357,7 @@ def test_a_number_of_a_block_that_cannot_be_is_refused(
 
 
 @pytest.mark.parametrize("point", ["1e308", "inf", "nan", "0.5", str(2**63)])
-def test_an_image_point_of_no_whole_number_names_its_line(tmp_path: Path, point: str) -> None:
+def test_an_image_point_of_no_whole_number_names_its_line(tmp_path, point):
     write_small_model(tmp_path)
     path = tmp_path / "images.txt"
     lines = path.read_text().splitlines()
@@ -381,7 +372,7 @@ def test_an_image_point_of_no_whole_number_names_its_line(tmp_path: Path, point:
 
 @pytest.mark.parametrize("unit", ["s", "ms", "ns", "D"])
 @pytest.mark.parametrize("text", ["9999-01-01", "2300-01-01", "1700-01-01", "NaT"])
-def test_times_of_a_model_beyond_the_calendar_are_refused(unit: str, text: str) -> None:
+def test_times_of_a_model_beyond_the_calendar_are_refused(unit, text):
     """Nanoseconds do not hold them: numpy makes any other time of them."""
     if unit == "ns" and text == "9999-01-01":
         pytest.skip("nanoseconds cannot state it")
@@ -392,7 +383,7 @@ def test_times_of_a_model_beyond_the_calendar_are_refused(unit: str, text: str) 
     assert sound.astype(np.int64).tolist() == [1_778_025_600 * 10**9]
 
 
-def test_a_lead_time_of_no_forecast_is_refused() -> None:
+def test_a_lead_time_of_no_forecast_is_refused():
     steps = np.array([6, 2**40], "timedelta64[s]")
     with pytest.raises(InputError, match="MODEL-TIME"):
         possible_steps(steps, "model.nc")
@@ -403,7 +394,7 @@ def test_a_lead_time_of_no_forecast_is_refused() -> None:
     ("place", "value"),
     [(0, np.nan), (0, 1e18), (1, np.inf), (2, 5e-324), (3, np.inf), (2, np.nan)],
 )
-def test_a_geoid_whose_head_is_no_grid_is_refused(tmp_path: Path, place: int, value: float) -> None:
+def test_a_geoid_whose_head_is_no_grid_is_refused(tmp_path, place, value):
     head = [46.0, 7.0, 0.25, 0.25]
     head[place] = value
     path = tmp_path / "g.gtx"
@@ -413,7 +404,7 @@ def test_a_geoid_whose_head_is_no_grid_is_refused(tmp_path: Path, place: int, va
         read_geoid(path)
 
 
-def test_an_hour_that_no_day_has_is_no_time_of_a_sounding(tmp_path: Path) -> None:
+def test_an_hour_that_no_day_has_is_no_time_of_a_sounding(tmp_path):
     path = tmp_path / "s.txt"
     text = head_of("igra2_USM*")
     assert text.startswith("#USM00070026 2010 06 01 00 2303")
@@ -423,9 +414,7 @@ def test_an_hour_that_no_day_has_is_no_time_of_a_sounding(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("word", ["_", "<" * 150_000, "x" * 150_000])
-def test_a_field_of_a_sounding_that_is_no_number_is_missing_or_refused(
-    tmp_path: Path, word: str
-) -> None:
+def test_a_field_of_a_sounding_that_is_no_number_is_missing_or_refused(tmp_path, word):
     path = tmp_path / "s.txt"
     path.write_text(PLAIN_SOUNDING.replace("15.00,", f"1{word}5.00,", 1))
     try:
@@ -438,7 +427,7 @@ def test_a_field_of_a_sounding_that_is_no_number_is_missing_or_refused(
     assert refusal.code in ("SOUNDING-FORMAT", "SOUNDING-EMPTY")
 
 
-def test_a_report_of_a_hundred_thousand_characters_is_none() -> None:
+def test_a_report_of_a_hundred_thousand_characters_is_none():
     with pytest.raises(InputError, match="it has 100"):
         parse_metar(f"{REPORT} {'A' * 100_000}", 183.0, Ledger(), flight_ns=NOON_NS)
 
@@ -479,14 +468,12 @@ def explosion() -> str:
     ],
     ids=["digits", "loop", "explosion", "bool", "timestamp", "date", "brackets", "depth"],
 )
-def test_a_text_that_yaml_cannot_hold_is_refused(tmp_path: Path, text: str, what: str) -> None:
+def test_a_text_that_yaml_cannot_hold_is_refused(tmp_path, text, what):
     assert what in mission_refused(tmp_path, text).what
 
 
 @pytest.mark.parametrize("value", ["{a: {b: 1}}", "{a: [1]}", "{}", "{a: 1}"])
-def test_a_section_in_the_place_of_a_text_is_refused_with_its_key(
-    tmp_path: Path, value: str
-) -> None:
+def test_a_section_in_the_place_of_a_text_is_refused_with_its_key(tmp_path, value):
     """Sections within it ended with a traceback."""
     refusal = mission_refused(tmp_path, f"mission: {{name: {value}}}")
     assert "mission.name" in refusal.what
@@ -528,9 +515,7 @@ output: {path: out}
         ),
     ],
 )
-def test_a_number_that_no_key_takes_is_refused(
-    tmp_path: Path, before: str, after: str, key: str
-) -> None:
+def test_a_number_that_no_key_takes_is_refused(tmp_path, before, after, key):
     sound = tmp_path / "sound.yaml"
     sound.write_text(MISSION, encoding="utf-8")
     load_mission(sound)
@@ -540,7 +525,7 @@ def test_a_number_that_no_key_takes_is_refused(
     assert "line " in refusal.what
 
 
-def test_a_campaign_with_a_loop_is_refused(tmp_path: Path) -> None:
+def test_a_campaign_with_a_loop_is_refused(tmp_path):
     path = tmp_path / "campaign.yaml"
     path.write_text("campaign: c\nmissions:\n- &m {mission: {name: a}, log: *m}\n")
     missions, campaigns = open_configs([path])
@@ -552,7 +537,7 @@ def test_a_campaign_with_a_loop_is_refused(tmp_path: Path) -> None:
 # The shared guards
 
 
-def test_numbers_beyond_all_measures_are_none() -> None:
+def test_numbers_beyond_all_measures_are_none():
     fields = pd.Series(["1.5", "-0", "-1e12", "1e13", "inf", "9" * 400, "1_0", "x", ""])
     read = numbers(fields)
     assert read[:3].tolist() == [1.5, 0.0, -1e12]
@@ -561,12 +546,12 @@ def test_numbers_beyond_all_measures_are_none() -> None:
 
 
 @pytest.mark.parametrize("value", [0.5, np.nan, np.inf, 1e300, 2.0**60])
-def test_what_is_no_whole_number_is_none(value: float) -> None:
+def test_what_is_no_whole_number_is_none(value):
     with pytest.raises(ValueError, match="is not a whole number"):
         exact_integers(np.array([1.0, value]))
 
 
-def test_a_sentence_does_not_repeat_a_damaged_field() -> None:
+def test_a_sentence_does_not_repeat_a_damaged_field():
     path = "/" + "f" * 400
     assert rendered("{path}: {field!r}", {"path": path, "field": "x" * 5000}).startswith(path)
     assert len(rendered("{field!r}", {"field": "x" * 5000})) < 100

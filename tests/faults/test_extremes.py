@@ -24,9 +24,7 @@ def read(path: Path, data: bytes) -> Log:
 
 
 @pytest.mark.parametrize("suffix", EXTREME)
-def test_values_at_their_limits(
-    tmp_path: Path, mutation_count: int, mutation_seed: int, suffix: str
-) -> None:
+def test_values_at_their_limits(tmp_path, mutation_count, mutation_seed, suffix):
     limit_s = LONGEST_UNITS * work_unit_s()
     for seed in range(mutation_seed, mutation_seed + mutation_count // 25):
         print(f"extreme_log({suffix!r}, {seed})")
@@ -53,13 +51,13 @@ def with_a_line_at(folder: Path, time_us: str) -> Log:
 
 
 @pytest.mark.parametrize("time_us", ["-5", str(2**64), "nan", "1e400", str(-(2**63))])
-def test_a_line_with_an_impossible_time_is_damaged(tmp_path: Path, time_us: str) -> None:
+def test_a_line_with_an_impossible_time_is_damaged(tmp_path, time_us):
     log = with_a_line_at(tmp_path, time_us)
     assert log.messages["BARO"] == 30
     assert codes_of_losses(log.ledger) == ["LOG-BAD-BYTES"]
 
 
-def test_a_line_with_the_latest_time_is_stray(tmp_path: Path) -> None:
+def test_a_line_with_the_latest_time_is_stray(tmp_path):
     log = with_a_line_at(tmp_path, str(2**64 - 1))
     assert len(log.channel("BARO[0]")) == 30
     assert codes_of_losses(log.ledger) == ["TIME-STRAY"]
@@ -77,9 +75,5 @@ SIGNALLING_NAN = np.frombuffer(b"\1\0\0\0\0\0\xf0\x7f", "f8")
         (np.array([True]), 0, [1]),
     ],
 )
-def test_whole_numbers_of_any_type(
-    values: np.ndarray,
-    least: int,
-    expected: list[int],
-) -> None:
+def test_whole_numbers_of_any_type(values, least, expected):
     assert whole_numbers(values, least, 5).tolist() == expected

@@ -139,24 +139,24 @@ def messages_in(log: Log) -> int:
     return sum(log.messages.values())
 
 
-def test_the_small_logs_are_whole(trial: Trial) -> None:
+def test_the_small_logs_are_whole(trial):
     for log in trial.whole:
         assert not damage_reported(log)
         assert messages_in(log) == WHOLE
 
 
-def test_mutations(trial: Trial, run_mutations) -> None:
+def test_mutations(trial, run_mutations):
     run_mutations(trial)
 
     assert trial.unreported == []
     assert set(trial.ends) <= {"complete", "reported"} | REFUSALS
 
 
-def test_failures_found_once_stay_away(trial: Trial, run_corpus) -> None:
+def test_failures_found_once_stay_away(trial, run_corpus):
     run_corpus(trial, "mcap", {"complete", "reported"} | REFUSALS)
 
 
-def test_every_cut_of_the_first_and_last_1000_bytes(trial: Trial, run_cuts) -> None:
+def test_every_cut_of_the_first_and_last_1000_bytes(trial, run_cuts):
     assert set(run_cuts(trial)) == {"reported"}
 
 
@@ -214,7 +214,7 @@ def with_length(data: bytes, begin: int, length: int) -> bytes:
 
 @pytest.mark.parametrize("file", [0, 1, 2, 3])
 @pytest.mark.parametrize("part", [0.3, 0.7])
-def test_a_cut_log_gives_every_complete_chunk(read, file: int, part: float) -> None:
+def test_a_cut_log_gives_every_complete_chunk(read, file, part):
     data = small_logs()[file]
     end = int(len(data) * part)
     expected = sum(chunk.messages for chunk in chunks(data) if chunk.end <= end)
@@ -226,7 +226,7 @@ def test_a_cut_log_gives_every_complete_chunk(read, file: int, part: float) -> N
 
 
 @pytest.mark.parametrize("file", [0, 1, 2, 3])
-def test_damage_between_chunks_costs_nothing_behind_it(read, file: int) -> None:
+def test_damage_between_chunks_costs_nothing_behind_it(read, file):
     """The record after a chunk gives a length beyond the file: the next chunk is found."""
     data = small_logs()[file]
     behind = chunk_of(data, 2).end
@@ -239,7 +239,7 @@ def test_damage_between_chunks_costs_nothing_behind_it(read, file: int) -> None:
 
 
 @pytest.mark.parametrize("file", [0, 1, 2])
-def test_a_damaged_length_of_a_chunk_costs_that_chunk(read, file: int) -> None:
+def test_a_damaged_length_of_a_chunk_costs_that_chunk(read, file):
     data = small_logs()[file]
     begin, end, lost = chunk_of(data, 2)
 
@@ -249,7 +249,7 @@ def test_a_damaged_length_of_a_chunk_costs_that_chunk(read, file: int) -> None:
     assert log.ledger.has_losses
 
 
-def test_zeros_in_a_chunk_without_a_checksum_cost_what_they_cover(read) -> None:
+def test_zeros_in_a_chunk_without_a_checksum_cost_what_they_cover(read):
     data = small_logs()[3]
     begin, end, _ = chunk_of(data, 3)
     middle = (begin + end) // 2
@@ -267,7 +267,7 @@ def message_records(data: bytes) -> list[tuple[int, int]]:
     return [(at, to) for opcode, at, to in records_of(data, first, end) if opcode == 5]
 
 
-def test_a_damaged_length_of_a_message_costs_that_message(read) -> None:
+def test_a_damaged_length_of_a_message_costs_that_message(read):
     data = small_logs()[3]
     begin, end = message_records(data)[4]
 
@@ -277,7 +277,7 @@ def test_a_damaged_length_of_a_message_costs_that_message(read) -> None:
     assert set(codes_of_losses(log.ledger)) >= {"LOG-BAD-BYTES", "LOG-INCONSISTENT"}
 
 
-def test_a_log_without_an_end_of_its_data_says_so(read) -> None:
+def test_a_log_without_an_end_of_its_data_says_so(read):
     """The record that ends the data is cut out, and no checksum tells."""
     data = small_logs()[3]
     end_of_data = b"\x0f" + struct.pack("<Q", 4)
@@ -290,7 +290,7 @@ def test_a_log_without_an_end_of_its_data_says_so(read) -> None:
     assert "but no record ends the data" in loss.what
 
 
-def test_a_message_that_changed_its_topic_is_noticed(read) -> None:
+def test_a_message_that_changed_its_topic_is_noticed(read):
     """The total stays what the statistics say; the topics do not."""
     data = small_logs()[3]
     topics = {begin + 9: data[begin + 9 : begin + 11] for begin, _ in message_records(data)}
@@ -303,9 +303,7 @@ def test_a_message_that_changed_its_topic_is_noticed(read) -> None:
     assert loss.kind == "loss"
 
 
-def test_definitions_from_the_summary_save_a_log_that_lost_its_first_chunk(
-    read, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_definitions_from_the_summary_save_a_log_that_lost_its_first_chunk(read, monkeypatch):
     """Writers define channels in the first chunk that needs them."""
     # As if the log were long: one that is would take minutes.
     monkeypatch.setattr("unbend.ingest.mcap.mcap_records.SPAN", 8192)
@@ -317,7 +315,7 @@ def test_definitions_from_the_summary_save_a_log_that_lost_its_first_chunk(
     assert messages_in(read(data)) == WHOLE - lost
 
 
-def test_a_data_section_that_fails_its_checksum_is_a_loss(read) -> None:
+def test_a_data_section_that_fails_its_checksum_is_a_loss(read):
     """A log without chunks: nothing else tells that a value changed."""
     data = small_logs()[5].replace(b"note 50", b"note 40", 1)
 
@@ -428,7 +426,7 @@ BOMBS = [
 
 
 @pytest.mark.parametrize("kind", BOMBS)
-def test_bombs_are_skipped_at_once(tmp_path: Path, kind: str) -> None:
+def test_bombs_are_skipped_at_once(tmp_path, kind):
     data = small_logs()[0]
     _, _, behind_header = next(records_of(data, 8, len(data)))
     path = tmp_path / "bomb.mcap"

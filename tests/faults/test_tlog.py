@@ -131,7 +131,7 @@ def frames_of(data: bytes) -> list[bytes]:
     return frames
 
 
-def test_mutations(trial: Trial, run_mutations, mutation_count: int) -> None:
+def test_mutations(trial, run_mutations, mutation_count):
     run_mutations(trial)
 
     assert set(trial.ends) <= {"complete", "reported", "unreported"} | REFUSALS
@@ -142,7 +142,7 @@ def test_mutations(trial: Trial, run_mutations, mutation_count: int) -> None:
         assert at_a_boundary(data, whole), recipe
 
 
-def test_every_cut_of_the_first_and_last_1000_bytes(trial: Trial, run_cuts) -> None:
+def test_every_cut_of_the_first_and_last_1000_bytes(trial, run_cuts):
     ends = run_cuts(trial)
 
     # a log that begins or ends at a frame is whole by all that it says; there are 20 each way
@@ -156,13 +156,13 @@ def read(path: Path, data: bytes) -> Log:
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xfd\xfe" * 3000, bytes(9000), bytes(range(256)) * 40])
-def test_what_is_no_log_is_refused(tmp_path: Path, junk: bytes) -> None:
+def test_what_is_no_log_is_refused(tmp_path, junk):
     with pytest.raises(LogError) as caught:
         read(tmp_path / "junk.tlog", junk)
     assert caught.value.code in REFUSALS
 
 
-def test_a_log_that_another_log_was_sent_through(tmp_path: Path, logs: list[bytes]) -> None:
+def test_a_log_that_another_log_was_sent_through(tmp_path, logs):
     """Frames inside a payload are not frames, whatever their checksum says."""
     from pymavlink.dialects.v20 import all as library
 
@@ -179,7 +179,7 @@ def test_a_log_that_another_log_was_sent_through(tmp_path: Path, logs: list[byte
     assert dict(log.messages) == dict(whole.messages) | {"DATA96": 1}
 
 
-def test_a_stray_host_stamp_is_mended_and_counted(tmp_path: Path, logs: list[bytes]) -> None:
+def test_a_stray_host_stamp_is_mended_and_counted(tmp_path, logs):
     whole = read(tmp_path / "a.tlog", logs[0])
     frames = frames_of(logs[0])
     row = next(k for k, frame in enumerate(frames) if k > 60 and frame[15] == 74)

@@ -70,17 +70,13 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Trial:
     return Trial(logs, ".ulg", open_log, tmp_path_factory.mktemp("ulog"))
 
 
-def test_the_small_logs_are_whole(trial: Trial) -> None:
+def test_the_small_logs_are_whole(trial):
     for log in trial.whole:
         assert not damage_reported(log)
         assert sum(log.messages.values()) == 3 * 150 + 15
 
 
-def test_mutations(
-    trial: Trial,
-    run_mutations,
-    mutation_count: int,
-) -> None:
+def test_mutations(trial, run_mutations, mutation_count):
     run_mutations(trial)
 
     assert set(trial.ends) <= {"complete", "reported", "renamed", "unreported"} | REFUSALS
@@ -90,18 +86,18 @@ def test_mutations(
     assert len(trial.unreported) <= mutation_count // 100, trial.summary()
 
 
-def test_failures_found_once_stay_away(trial: Trial, run_corpus) -> None:
+def test_failures_found_once_stay_away(trial, run_corpus):
     run_corpus(trial, "ulog", {"complete", "reported"} | REFUSALS)
 
 
-def test_every_cut_of_the_first_and_last_1000_bytes(trial: Trial, run_cuts) -> None:
+def test_every_cut_of_the_first_and_last_1000_bytes(trial, run_cuts):
     ends = run_cuts(trial)
 
     assert set(ends) <= {"LOG-FORMAT", "LOG-ULOG", "reported", "unreported"}
     assert ends["unreported"] <= 0.015 * ends.total() + 4  # cuts between two messages
 
 
-def test_a_large_hole_ends_at_once(trial: Trial) -> None:
+def test_a_large_hole_ends_at_once(trial):
     """30 MB of zeros, as in a file whose space was set aside before the power went."""
     log = trial.logs[0]
     data = log[:8000] + bytes(30_000_000) + log[8000:]

@@ -67,7 +67,7 @@ def write(tmp_path: Path):
 # Identifiers
 
 
-def test_the_number_of_an_event_may_have_16_digits(write) -> None:
+def test_the_number_of_an_event_may_have_16_digits(write):
     lines = []
     for number, line in zip(IDS, MRK_TEXT.splitlines(), strict=True):
         _, _, fields = line.partition("\t")
@@ -80,7 +80,7 @@ def test_the_number_of_an_event_may_have_16_digits(write) -> None:
     assert codes_of_losses(ledger) == []
 
 
-def test_the_number_of_an_exposure_may_have_16_digits(write) -> None:
+def test_the_number_of_an_exposure_may_have_16_digits(write):
     text = EO_TEXT
     for k, number in enumerate(IDS):
         text = text.replace(f"img_{k:03d}\t{k + 1}\t", f"img_{k:03d}\t{number}\t")
@@ -91,7 +91,7 @@ def test_the_number_of_an_exposure_may_have_16_digits(write) -> None:
 
 
 @pytest.mark.parametrize("name", ["1778068782000", str(2**63 - 1), "1_0", "1e308", "9" * 30])
-def test_names_that_look_like_numbers_are_names(write, name: str) -> None:
+def test_names_that_look_like_numbers_are_names(write, name):
     rows = ["p,x,y,h", f"{name},465000.5,5238000.5,500.5", "b,465001.5,5238001.5,501.5"]
     points, _ = read_object_points(
         write("points.csv", rows),
@@ -106,7 +106,7 @@ def test_names_that_look_like_numbers_are_names(write, name: str) -> None:
     assert events.image.tolist() == [name, "b"]
 
 
-def test_whole_numbers_of_64_bits_stay_exact(tmp_path: Path) -> None:
+def test_whole_numbers_of_64_bits_stay_exact(tmp_path):
     """Names of points as integers, and the user's own column of nanoseconds."""
     numbers = [2**63 - 1 - k for k in range(3)]
     names = [str(number) for number in numbers]
@@ -136,7 +136,7 @@ def test_whole_numbers_of_64_bits_stay_exact(tmp_path: Path) -> None:
     assert read.to_pylist() == names
 
 
-def test_tracks_of_opensfm_may_have_numbers_of_63_bits(write) -> None:
+def test_tracks_of_opensfm_may_have_numbers_of_63_bits(write):
     start, files = small_blocks()["opensfm"]
     tracks = files["tracks.csv"]
     image, track, *_ = tracks.splitlines()[1].split("\t")
@@ -152,7 +152,7 @@ def test_tracks_of_opensfm_may_have_numbers_of_63_bits(write) -> None:
     assert long in map(str, points)
 
 
-def test_an_image_point_of_no_object_point_may_be_written_unsigned(write) -> None:
+def test_an_image_point_of_no_object_point_may_be_written_unsigned(write):
     """2**64 - 1, as COLMAP holds it and as scripts write it, is -1."""
     _, files = small_blocks()["colmap"]
     for name, text in files.items():
@@ -179,7 +179,7 @@ def test_an_image_point_of_no_object_point_may_be_written_unsigned(write) -> Non
 # Units and places
 
 
-def test_coordinates_may_be_millimetres(write) -> None:
+def test_coordinates_may_be_millimetres(write):
     """In a frame of their own, which known positions place."""
     rows = ["image,x,y,z,o,p,k"]
     for k in range(3):
@@ -219,9 +219,7 @@ def read_trajectory(write):
 @pytest.mark.parametrize("longitude", ["-180", "180", "359.9", "360", "-0.0"])
 @pytest.mark.parametrize("latitude", ["-90", "90", "0.0001"])
 @pytest.mark.parametrize("height", ["-430", "0", "99999"])
-def test_places_at_the_limits_of_the_earth_are_places(
-    read_trajectory, longitude: str, latitude: str, height: str
-) -> None:
+def test_places_at_the_limits_of_the_earth_are_places(read_trajectory, longitude, latitude, height):
     rows = [f"{UNIX_S + k},{latitude},{longitude},{height}" for k in range(3)]
     assert len(read_trajectory(rows)) == 3
 
@@ -230,7 +228,7 @@ def moving_rows(count: int, more: str) -> list[str]:
     return [f"{UNIX_S + k},47.3,{8.5 + k / 1e4},1500.5,{more}" for k in range(count)]
 
 
-def test_a_quaternion_of_two_decimals_is_an_attitude(read_trajectory) -> None:
+def test_a_quaternion_of_two_decimals_is_an_attitude(read_trajectory):
     axes = {
         "q_w": "w",
         "q_x": "x",
@@ -246,14 +244,14 @@ def test_a_quaternion_of_two_decimals_is_an_attitude(read_trajectory) -> None:
 
 
 @pytest.mark.parametrize("word", ["", "nan", "NaN", "n/a", "--", "-", "null", "None"])
-def test_words_for_an_unknown_velocity_are_no_loss(read_trajectory, word: str) -> None:
+def test_words_for_an_unknown_velocity_are_no_loss(read_trajectory, word):
     rows = moving_rows(4, "10.5")
     rows[2] = rows[2].replace(",10.5", f",{word}")
     channel = read_trajectory(rows, v_north_m_s="v")
     assert np.isnan(channel["v_north_m_s"]).tolist() == [False, False, True, False]
 
 
-def test_a_row_without_a_height_is_kept() -> None:
+def test_a_row_without_a_height_is_kept():
     """Where its reader takes it: unknown is not beyond all heights."""
     time_ns = NOON_NS + np.arange(3) * NS_PER_S
     columns = {
@@ -274,7 +272,7 @@ def test_a_row_without_a_height_is_kept() -> None:
     assert codes_of_losses(ledger) == []
 
 
-def test_seconds_of_a_week_may_count_on(read_trajectory) -> None:
+def test_seconds_of_a_week_may_count_on(read_trajectory):
     """A flight over the end of the week: 604,800 and beyond belong to the next."""
     rows = []
     for k in range(3):
@@ -291,7 +289,7 @@ def test_seconds_of_a_week_may_count_on(read_trajectory) -> None:
     ("zone", "ahead_h"),
     [("+14:00", 14.0), ("-12:00", -12.0), ("+1245", 12.75), ("-00:00", 0.0)],
 )
-def test_the_farthest_zones_are_zones(zone: str, ahead_h: float) -> None:
+def test_the_farthest_zones_are_zones(zone, ahead_h):
     here = parse_time("2026:05:06 12:00:00", zone)
     at_greenwich = parse_time("2026:05:06 12:00:00", "Z")
     assert here is not None
@@ -301,7 +299,7 @@ def test_the_farthest_zones_are_zones(zone: str, ahead_h: float) -> None:
     assert at_greenwich.time_ns - here.time_ns == ahead_h * 3600 * NS_PER_S
 
 
-def test_a_field_may_be_filled_with_blanks() -> None:
+def test_a_field_may_be_filled_with_blanks():
     """Tables of fixed width fill up to 254 characters."""
     assert number_of("-89,9".ljust(254)) == -89.9
     assert angle_of("47 deg 18' 0\" N".ljust(254)) == pytest.approx(47.3)
@@ -311,7 +309,7 @@ def test_a_field_may_be_filled_with_blanks() -> None:
 
 
 @pytest.mark.parametrize("angle_deg", [360.0, -360.0, 400.0, 450.0, -720.0])
-def test_a_mount_may_turn_more_than_once(angle_deg: float) -> None:
+def test_a_mount_may_turn_more_than_once(angle_deg):
     """As the sum of two angles: the camera sits as after the rest of the last turn."""
     rest_deg = float(np.fmod(angle_deg, 360.0))
     for name in ("roll_deg", "pitch_deg", "yaw_deg"):
@@ -338,11 +336,11 @@ class WithPath(MountSection):
         "a b/ü 1e308/1_0.csv",
     ],
 )
-def test_long_paths_are_paths(path: str) -> None:
+def test_long_paths_are_paths(path):
     assert WithPath.model_validate({"path": path}).path == path
 
 
-def test_whole_numbers_with_a_tag_are_read_as_yaml_has_them(write) -> None:
+def test_whole_numbers_with_a_tag_are_read_as_yaml_has_them(write):
     path = write("m.yaml", ["a: !!int 0x10", "b: !!int 12", "c: !!float 3", "d: 1000000000000000"])
     values, _ = read_yaml(path)
     assert values == {
@@ -353,7 +351,7 @@ def test_whole_numbers_with_a_tag_are_read_as_yaml_has_them(write) -> None:
     }
 
 
-def test_sections_may_be_repeated_by_aliases(write) -> None:
+def test_sections_may_be_repeated_by_aliases(write):
     """Hundreds of missions that share a section."""
     path = write("m.yaml", ["a: &a {x: 1.5, y: [1, 2, 3]}", "b:", *["- {<<: *a, z: *a}"] * 500])
     values, _ = read_yaml(path)

@@ -65,7 +65,8 @@ class Season:
 
     def older(self) -> None:
         """Files that were written some seconds ago; newer ones are not trusted."""
-        latest = max(file.lstat().st_ctime for file in self.folder.rglob("*"))
+        files = self.folder.rglob("*")
+        latest = max(file.lstat().st_ctime for file in files)
         settled = latest + input_files.SETTLED_NS * 1e-9 + 0.05
         time.sleep(max(0.0, settled - time.time()))
 
@@ -333,7 +334,9 @@ class Links(HTMLParser):
         attrs: list[tuple[str, str | None]],
     ) -> None:
         self.tags.add(tag)
-        self.links += [value or "" for name, value in attrs if name in ("href", "src")]
+        for name, value in attrs:
+            if name in ("href", "src"):
+                self.links.append(value or "")
 
 
 def test_the_page_leads_to_each_report_and_nowhere_else(done):
