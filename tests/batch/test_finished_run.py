@@ -6,7 +6,7 @@ import csv
 import hashlib
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import product
 from pathlib import Path
 
@@ -74,7 +74,12 @@ def copied(baseline, tmp_path) -> Path:
     return run
 
 
-def bilinear(grid: pd.DataFrame, x, y, column: str):
+def bilinear(
+    grid: pd.DataFrame,
+    x,
+    y,
+    column: str,
+):
     """Interpolation as another program would do it."""
     xs = np.unique(grid["x_px"])
     ys = np.unique(grid["y_px"])
@@ -125,7 +130,13 @@ def test_at_its_nodes_the_lattice_is_what_a_run_makes_of_them(mission, lattice):
     mission.observe(pa.Table.from_pandas(nodes, preserve_index=False))
     mission.run_to_manifest()
 
-    grid, _ = lattice(mission.output, "--columns", 5, "--rows", 4)
+    grid, _ = lattice(
+        mission.output,
+        "--columns",
+        5,
+        "--rows",
+        4,
+    )
 
     run = mission.results().to_pandas().merge(grid, on=place)
     assert len(grid) == len(nodes) == len(run)
@@ -299,43 +310,25 @@ def test_the_profile_comes_back(baseline):
     assert after.layers.source == before.layers.source
 
 
-NUMBERS_OF_STATIONS = (
-    "h_msl_m",
-    "h_ellipsoid_m",
-    "pressure_pa",
-    "temperature_k",
-    "vapour_pressure_pa",
-    "cabin_pressure_pa",
-    "cabin_temperature_k",
-    "cabin_vapour_pressure_pa",
-    "sigma_cabin_pressure_pa",
-    "sigma_cabin_temperature_k",
-    "sigma_horizontal_m",
-    "sigma_height_m",
-    "sigma_tilt_rad",
-    "sigma_yaw_rad",
-    "suspect_m",
-)
-
-
 def test_stations_come_back():
     nan = np.nan
-    numbers = {}
-    for value, name in enumerate(NUMBERS_OF_STATIONS, 1):
-        numbers[name] = np.array([float(value), nan])
-    before = Stations(
-        image=np.array(["a", "b"], object),
-        camera=np.array(["nadir", ""], object),
-        time_ns=np.array([1_700_000_000_123_456_789, NO_TIME]),
-        lat_rad=np.array([0.8, nan]),
-        lon_rad=np.array([-3.1, nan]),
-        quaternion=np.array([[0.5, -0.5, 0.5, 0.5], [nan] * 4]),
-        aircraft_quaternion=np.array([[0.1, 0.7, -0.1, 0.7], [nan] * 4]),
-        suspect_reason=np.array(["a step of 77 m", ""], object),
-        accepted=np.array([True, False]),
-        status=np.array(["suspect", "unmatched"], object),
-        **numbers,
-    )
+    values = {
+        "image": np.array(["a", "b"], object),
+        "camera": np.array(["nadir", ""], object),
+        "time_ns": np.array([1_700_000_000_123_456_789, NO_TIME]),
+        "lat_rad": np.array([0.8, nan]),
+        "lon_rad": np.array([-3.1, nan]),
+        "quaternion": np.array([[0.5, -0.5, 0.5, 0.5], [nan] * 4]),
+        "aircraft_quaternion": np.array([[0.1, 0.7, -0.1, 0.7], [nan] * 4]),
+        "suspect_reason": np.array(["a step of 77 m", ""], object),
+        "accepted": np.array([True, False]),
+        "status": np.array(["suspect", "unmatched"], object),
+    }
+    for number, field in enumerate(
+        fields(Stations)
+    ):  # all others are numbers, of which each has its own
+        values.setdefault(field.name, np.array([number + 0.5, nan]))
+    before = Stations(**values)
     profile = TimedProfile(None, standard_atmosphere("us1976"))
     table = table_of_stations(before, constant_series(profile, 2))
     for axis, values in zip("wxyz", before.aircraft_quaternion.T, strict=True):
@@ -343,14 +336,13 @@ def test_stations_come_back():
         if name not in table.schema.names:
             table = table.append_column(name, pa.array(values))
     after = stations_of(table)
-    for name in Stations.__dataclass_fields__:
-        was = getattr(before, name)
-        is_now = getattr(after, name)
-        assert was.dtype == is_now.dtype
+    for name, value in values.items():
+        read = getattr(after, name)
+        assert read.dtype == value.dtype
         if name.endswith("_rad"):
-            np.testing.assert_allclose(is_now, was, rtol=1e-15)
+            np.testing.assert_allclose(read, value, rtol=1e-15)
         else:
-            np.testing.assert_array_equal(is_now, was)
+            np.testing.assert_array_equal(read, value)
 
 
 # -- refusals -----------------------------------------------------------------------------------
@@ -405,7 +397,12 @@ def test_a_file_that_is_there_already(baseline, export):
     assert again.err.startswith("EXPORT-EXISTS: ")
     assert out.read_bytes() == before
 
-    _, forced = export(baseline.output, "lattice", *FEW_NODES, "--force")
+    _, forced = export(
+        baseline.output,
+        "lattice",
+        *FEW_NODES,
+        "--force",
+    )
     assert forced.code == 0
     assert out.read_bytes() == before
     # Only the file and its frame: no draft is left.

@@ -73,7 +73,8 @@ class Season:
     def unchanged(self) -> list[int]:
         """Numbers of the missions that are known to be unchanged without checking their files."""
         chosen = select_missions([self.file])
-        return [n for n, ref in enumerate(chosen.missions) if chosen.is_unchanged(ref)]
+        missions = enumerate(chosen.missions)
+        return [number for number, ref in missions if chosen.is_unchanged(ref)]
 
     def change_mission(self, number: int, **sections: dict[str, Any]) -> None:
         """Give a mission file other sections."""
