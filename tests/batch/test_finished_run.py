@@ -336,13 +336,14 @@ def test_stations_come_back():
         if name not in table.schema.names:
             table = table.append_column(name, pa.array(values))
     after = stations_of(table)
-    for name, value in values.items():
-        read = getattr(after, name)
-        assert read.dtype == value.dtype
+    for name in names:
+        was = getattr(before, name)
+        is_now = getattr(after, name)
+        assert was.dtype == is_now.dtype
         if name.endswith("_rad"):
-            np.testing.assert_allclose(read, value, rtol=1e-15)
+            np.testing.assert_allclose(is_now, was, rtol=1e-15)
         else:
-            np.testing.assert_array_equal(read, value)
+            np.testing.assert_array_equal(is_now, was)
 
 
 # -- refusals -----------------------------------------------------------------------------------
