@@ -324,17 +324,17 @@ def test_stations_come_back():
         "accepted": np.array([True, False]),
         "status": np.array(["suspect", "unmatched"], object),
     }
-    for number, field in enumerate(
-        fields(Stations)
-    ):  # all others are numbers, of which each has its own
-        values.setdefault(field.name, np.array([number + 0.5, nan]))
+    names = [field.name for field in fields(Stations)]
+    for number, name in enumerate(names):
+        if name != "from_boot":  # it has a default; all others are numbers
+            values.setdefault(name, np.array([number + 0.5, nan]))
     before = Stations(**values)
     profile = TimedProfile(None, standard_atmosphere("us1976"))
     table = table_of_stations(before, constant_series(profile, 2))
-    for axis, values in zip("wxyz", before.aircraft_quaternion.T, strict=True):
+    for axis, column in zip("wxyz", before.aircraft_quaternion.T, strict=True):
         name = f"aircraft_q_{axis}"
         if name not in table.schema.names:
-            table = table.append_column(name, pa.array(values))
+            table = table.append_column(name, pa.array(column))
     after = stations_of(table)
     for name in names:
         was = getattr(before, name)
