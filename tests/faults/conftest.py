@@ -6,7 +6,7 @@ import csv
 import os
 import random
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
@@ -65,6 +65,18 @@ def run_cuts(mutation_count: int, mutation_seed: int) -> Callable[[Trial], Count
         return trial.ends - before
 
     return run
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str, Iterable[str]], Path]:
+    """Writes a text of these lines into the folder of the test; its path."""
+
+    def write_lines(name: str, lines: Iterable[str]) -> Path:
+        path = tmp_path / name
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    return write_lines
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ import random
 import struct
 from dataclasses import replace
 from itertools import pairwise, product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -113,20 +112,19 @@ ONLY_THIRD = [False, False, True, False, False]
 PLACES = {"time": "t", "latitude": "lat", "longitude": "lon", "height": "h"}
 
 
-def trajectory_of(
-    folder: Path,
-    rows: list[str],
-    stated: Stated = UTC,
-    **more: str,
-) -> tuple[Channel, Message]:
-    """The channel of rows with places and more columns, and the only loss of reading it."""
-    columns = PLACES | more
-    path = folder / "flight.csv"
-    path.write_text("\n".join([",".join(columns.values()), *rows]) + "\n", encoding="utf-8")
-    ledger = Ledger()
-    channel = read_trajectory_csv(path, replace(stated, columns=columns), ledger)
-    (loss,) = (entry for entry in ledger if entry.kind == "loss")
-    return channel, loss
+@pytest.fixture
+def trajectory_of(write):
+    """Reads rows with places and more columns: the channel, and the only loss of reading it."""
+
+    def read(rows: list[str], stated: Stated = UTC, **more: str) -> tuple[Channel, Message]:
+        columns = PLACES | more
+        path = write("flight.csv", [",".join(columns.values()), *rows])
+        ledger = Ledger()
+        channel = read_trajectory_csv(path, replace(stated, columns=columns), ledger)
+        (loss,) = (entry for entry in ledger if entry.kind == "loss")
+        return channel, loss
+
+    return read
 
 
 def sound_rows(more: str = "", start_s: int = START_S) -> list[str]:
@@ -149,13 +147,13 @@ def sound_rows(more: str = "", start_s: int = START_S) -> list[str]:
         (0, "9999-12-31T23:59:59Z"),
     ],
 )
-def test_a_row_without_a_place_or_a_time_is_lost(tmp_path, place, word):
+def test_a_row_without_a_place_or_a_time_is_lost(trajectory_of, place, word):
     rows = sound_rows()
     fields = rows[2].split(",")
     fields[place] = word
     rows[2] = ",".join(fields)
 
-    channel, loss = trajectory_of(tmp_path, rows)
+    channel, loss = trajectory_of(rows)
 
     seconds = channel.time_ns / NS_PER_S - START_S
     assert seconds.tolist() == [0.5, 1.5, 3.5, 4.5]
@@ -175,11 +173,11 @@ def test_a_row_without_a_place_or_a_time_is_lost(tmp_path, place, word):
         ("v_north_m_s", "1_0"),
     ],
 )
-def test_a_value_that_no_flight_has_is_unknown_and_counted(tmp_path, column, word):
+def test_a_value_that_no_flight_has_is_unknown_and_counted(trajectory_of, column, word):
     rows = sound_rows(",0.25")
     rows[2] = rows[2].replace(",0.25", f",{word}")
 
-    channel, loss = trajectory_of(tmp_path, rows, **{column: "c"})
+    channel, loss = trajectory_of(rows, **{column: "c"})
 
     assert np.isnan(channel[column]).tolist() == ONLY_THIRD
     assert loss.code == "IMPORT-VALUES"
@@ -187,11 +185,11 @@ def test_a_value_that_no_flight_has_is_unknown_and_counted(tmp_path, column, wor
 
 
 @pytest.mark.parametrize("first", ["0", "2", "0.9", "1e308"])
-def test_a_quaternion_of_another_length_is_no_attitude(tmp_path, first):
+def test_a_quaternion_of_another_length_is_no_attitude(trajectory_of, first):
     rows = sound_rows(",1,0,0,0")
     rows[2] = rows[2].replace(",1,0,0,0", f",{first},0,0,0")
 
-    channel, loss = trajectory_of(tmp_path, rows, q_w="w", q_x="x", q_y="y", q_z="z")
+    channel, loss = trajectory_of(rows, q_w="w", q_x="x", q_y="y", q_z="z")
 
     is_unknown = np.isnan(channel["q_x"]) | np.isnan(channel["q_w"])
     assert is_unknown.tolist() == ONLY_THIRD
@@ -199,11 +197,11 @@ def test_a_quaternion_of_another_length_is_no_attitude(tmp_path, first):
     assert loss.count == 1
 
 
-def test_the_seconds_of_the_week_go_on_over_a_damaged_one(tmp_path):
+def test_the_seconds_of_the_week_go_on_over_a_damaged_one(trajectory_of):
     rows = sound_rows(start_s=TOW)
     rows[1] = rows[1].replace(f"{TOW + 1}.5", "1e400")
 
-    channel, loss = trajectory_of(tmp_path, rows, GPST)
+    channel, loss = trajectory_of(rows, GPST)
 
     assert np.diff(channel.time_ns).tolist() == [2 * NS_PER_S, NS_PER_S, NS_PER_S]
     assert loss.code == "IMPORT-ROWS"
@@ -214,9 +212,8 @@ def test_the_seconds_of_the_week_go_on_over_a_damaged_one(tmp_path):
     ("before", "word"),
     [("1500.000,Ellh", "1e308,Ellh"), ("8.50000000,Lon", "1e18,Lon")],
 )
-def test_an_event_that_is_nowhere_on_earth_is_lost(tmp_path, before, word):
-    path = tmp_path / "flight.MRK"
-    path.write_text(MRK_TEXT.replace(before, word, 1), encoding="utf-8")
+def test_an_event_that_is_nowhere_on_earth_is_lost(write, before, word):
+    path = write("flight.MRK", MRK_TEXT.replace(before, word, 1).splitlines())
     ledger = Ledger()
     channel = read_mrk(path, GPST, ledger)
     assert channel["event_index"].tolist() == [float(k) for k in range(2, 9)]
@@ -233,14 +230,13 @@ def test_an_event_that_is_nowhere_on_earth_is_lost(tmp_path, before, word):
         ("o", "1_0", "is not a number: '1_0'"),
     ],
 )
-def test_an_orientation_that_cannot_be_is_refused_with_its_line(tmp_path, column, word, text):
+def test_an_orientation_that_cannot_be_is_refused_with_its_line(write, column, word, text):
     columns = {"image": "image", "latitude": "lat", "longitude": "lon", "height": "h"}
     columns |= {"omega": "o", "phi": "p", "kappa": "k"}
     first = dict(zip(columns.values(), ("a", "47.3", "8.5", "1500", "1", "2", "3"), strict=True))
     second = first | {"image": "b", column: word}
     lines = [",".join(words) for words in (first, first.values(), second.values())]
-    path = tmp_path / "block.csv"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path = write("block.csv", lines)
 
     with pytest.raises(InputError, match="ORIENTATION-NUMBER") as caught:
         read_orientation(path, Stated(columns=columns), Ledger())
@@ -288,13 +284,12 @@ def test_a_long_field_in_the_head_of_an_orientation_takes_no_time(filling):
         head_of_eo(text)
 
 
-def test_a_pressure_that_no_height_has_is_none(tmp_path):
+def test_a_pressure_that_no_height_has_is_none(write):
     """5e-324 hPa overflowed with the vapour pressure above it."""
     *lines, last = PLAIN_SOUNDING.splitlines()
     height, _, *others = last.split(",")
     lines.append(",".join([height, "5e-324", *others]))
-    path = tmp_path / "s.csv"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path = write("s.csv", lines)
     ledger = Ledger()
     sounding = read_sounding(path, ledger, time_ns=NOON_NS)
     assert len(sounding.h_m) == len(lines) - 2
@@ -323,10 +318,14 @@ def test_a_netcdf_sounding_without_a_finite_time_is_refused(tmp_path, start):
 # Blocks, weather, grids
 
 
-def write_small_model(folder: Path) -> None:
+@pytest.fixture
+def small_model(write):
+    """The lines of its files, which are written into the folder of the test."""
     _, files = small_blocks()["colmap"]
-    for name, content in files.items():
-        (folder / name).write_text(content)
+    lines = {name: content.splitlines() for name, content in files.items()}
+    for name in lines:
+        write(name, lines[name])
+    return lines
 
 
 @pytest.mark.parametrize(
@@ -341,15 +340,15 @@ def write_small_model(folder: Path) -> None:
         ("cameras.txt", 4, "-3000", "is not a possible camera"),
     ],
 )
-def test_a_number_of_a_block_that_cannot_be_is_refused(tmp_path, name, field, word, text):
-    write_small_model(tmp_path)
-    path = tmp_path / name
-    lines = path.read_text().splitlines()
+def test_a_number_of_a_block_that_cannot_be_is_refused(
+    tmp_path, write, small_model, name, field, word, text
+):
+    lines = small_model[name]
     row = first_row(lines)
     fields = lines[row].split(" ")
     fields[field] = word
     lines[row] = " ".join(fields)
-    path.write_text("\n".join(lines) + "\n")
+    write(name, lines)
     with pytest.raises(InputError) as caught:
         read_block(tmp_path, "colmap")
     assert text in caught.value.what
@@ -357,14 +356,12 @@ def test_a_number_of_a_block_that_cannot_be_is_refused(tmp_path, name, field, wo
 
 
 @pytest.mark.parametrize("point", ["1e308", "inf", "nan", "0.5", str(2**63)])
-def test_an_image_point_of_no_whole_number_names_its_line(tmp_path, point):
-    write_small_model(tmp_path)
-    path = tmp_path / "images.txt"
-    lines = path.read_text().splitlines()
+def test_an_image_point_of_no_whole_number_names_its_line(tmp_path, write, small_model, point):
+    lines = small_model["images.txt"]
     row = first_row(lines) + 1
     x, y, *_ = lines[row].split(" ")
     lines[row] = f"{x} {y} {point}"
-    path.write_text("\n".join(lines) + "\n")
+    write("images.txt", lines)
     with pytest.raises(InputError, match="IMPORT-FORMAT") as caught:
         read_block(tmp_path, "colmap")
     assert f"{row + 1}" in str(caught.value)
@@ -404,11 +401,11 @@ def test_a_geoid_whose_head_is_no_grid_is_refused(tmp_path, place, value):
         read_geoid(path)
 
 
-def test_an_hour_that_no_day_has_is_no_time_of_a_sounding(tmp_path):
-    path = tmp_path / "s.txt"
+def test_an_hour_that_no_day_has_is_no_time_of_a_sounding(write):
     text = head_of("igra2_USM*")
     assert text.startswith("#USM00070026 2010 06 01 00 2303")
-    path.write_text(text.replace("2010 06 01 00 2303", "2010 06 01 50 9999", 1))
+    spoilt = text.replace("2010 06 01 00 2303", "2010 06 01 50 9999", 1)
+    path = write("s.txt", spoilt.splitlines())
     with pytest.raises(InputError, match="SOUNDING-TIME"):
         read_sounding(path, Ledger())
 
@@ -435,14 +432,19 @@ def test_a_report_of_a_hundred_thousand_characters_is_none():
 # Mission files
 
 
-def mission_refused(folder: Path, text: str) -> ConfigError:
-    path = folder / "mission.yaml"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
-        load_mission(path)
-    assert caught.value.remedy
-    assert str(path) in caught.value.where
-    return caught.value
+@pytest.fixture
+def mission_refused(write):
+    """Reads a mission file, which must be refused; what is said."""
+
+    def load(text: str) -> str:
+        path = write("mission.yaml", [text])
+        with pytest.raises(ConfigError) as caught:
+            load_mission(path)
+        assert caught.value.remedy
+        assert str(path) in caught.value.where
+        return caught.value.what
+
+    return load
 
 
 def explosion() -> str:
@@ -468,15 +470,14 @@ def explosion() -> str:
     ],
     ids=["digits", "loop", "explosion", "bool", "timestamp", "date", "brackets", "depth"],
 )
-def test_a_text_that_yaml_cannot_hold_is_refused(tmp_path, text, what):
-    assert what in mission_refused(tmp_path, text).what
+def test_a_text_that_yaml_cannot_hold_is_refused(mission_refused, text, what):
+    assert what in mission_refused(text)
 
 
 @pytest.mark.parametrize("value", ["{a: {b: 1}}", "{a: [1]}", "{}", "{a: 1}"])
-def test_a_section_in_the_place_of_a_text_is_refused_with_its_key(tmp_path, value):
+def test_a_section_in_the_place_of_a_text_is_refused_with_its_key(mission_refused, value):
     """Sections within it ended with a traceback."""
-    refusal = mission_refused(tmp_path, f"mission: {{name: {value}}}")
-    assert "mission.name" in refusal.what
+    assert "mission.name" in mission_refused(f"mission: {{name: {value}}}")
 
 
 MISSION = """mission: {name: a, undulation_m: 47.5}
@@ -515,19 +516,17 @@ output: {path: out}
         ),
     ],
 )
-def test_a_number_that_no_key_takes_is_refused(tmp_path, before, after, key):
-    sound = tmp_path / "sound.yaml"
-    sound.write_text(MISSION, encoding="utf-8")
-    load_mission(sound)
+def test_a_number_that_no_key_takes_is_refused(write, mission_refused, before, after, key):
+    load_mission(write("sound.yaml", [MISSION]))
     assert MISSION.count(before) == 1
-    refusal = mission_refused(tmp_path, MISSION.replace(before, after))
-    assert key in refusal.what
-    assert "line " in refusal.what
+    text = mission_refused(MISSION.replace(before, after))
+    assert key in text
+    assert "line " in text
 
 
-def test_a_campaign_with_a_loop_is_refused(tmp_path):
-    path = tmp_path / "campaign.yaml"
-    path.write_text("campaign: c\nmissions:\n- &m {mission: {name: a}, log: *m}\n")
+def test_a_campaign_with_a_loop_is_refused(write):
+    lines = ["campaign: c", "missions:", "- &m {mission: {name: a}, log: *m}"]
+    path = write("campaign.yaml", lines)
     missions, campaigns = open_configs([path])
     assert not campaigns
     with pytest.raises(ConfigError, match="inside the section or list"):

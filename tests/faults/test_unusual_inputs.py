@@ -5,7 +5,6 @@ Identifiers of 13 digits and more, other units, coarse quaternions, far zones, l
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,18 +49,6 @@ POINT_COLUMNS = {
     "y": "y",
     "height": "h",
 }
-
-
-@pytest.fixture
-def write(tmp_path: Path):
-    """Writes a text of these lines into the folder of the test."""
-
-    def write_lines(name: str, lines: Iterable[str]) -> Path:
-        path = tmp_path / name
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        return path
-
-    return write_lines
 
 
 # Identifiers

@@ -41,6 +41,7 @@ FEWEST = 12  # observations an image
 GNSS_M = (0.03, 0.03, 0.05)
 SIGMA_PX = 0.3  # of tie points; pycolmap counts in whole pixels
 US1976 = standard_atmosphere("us1976")
+Array = np.ndarray
 
 
 class RealAir(flights.Truth):
@@ -50,7 +51,7 @@ class RealAir(flights.Truth):
         step = 20.0
         h = np.arange(balloon.H[0], balloon.H[0] + 10_800.0, step)
 
-        def smooth(values: np.ndarray) -> np.ndarray:
+        def smooth(values: Array) -> Array:
             return gaussian_filter1d(np.interp(h, balloon.H, values), 100.0 / step, mode="nearest")
 
         vapour = np.exp(smooth(np.log(balloon.e)))
@@ -63,10 +64,10 @@ class RealAir(flights.Truth):
         """Height of the ground above sea level [m]: its first level, and a camera may hang low."""
         return float(self.h[0]) + 5.0
 
-    def n(self, h_m: np.ndarray) -> np.ndarray:
+    def n(self, h_m: Array) -> Array:
         return 1.0 + self._index(h_m)
 
-    def dn_dh(self, h_m: np.ndarray) -> np.ndarray:
+    def dn_dh(self, h_m: Array) -> Array:
         return self._index(h_m, 1)
 
     def profile(self) -> Profile:
@@ -132,12 +133,12 @@ class Block:
     seen: TrueObservations
 
     @property
-    def measured(self) -> np.ndarray:
+    def measured(self) -> Array:
         """(n, 2) pixels, bent."""
         return np.stack([self.seen.x_px, self.seen.y_px], axis=1)
 
     @property
-    def straight(self) -> np.ndarray:
+    def straight(self) -> Array:
         """(n, 2) pixels of the straight chords."""
         return np.stack([self.seen.x_true_px, self.seen.y_true_px], axis=1)
 
@@ -146,13 +147,13 @@ class Block:
         """Latitude and longitude [rad] of the first station."""
         return self.stations.lat_rad[0], self.stations.lon_rad[0]
 
-    def local(self, ecef: np.ndarray) -> np.ndarray:
+    def local(self, ecef: Array) -> Array:
         """(n, 3) east, north, up at the foot of the first station."""
         origin = to_ecef(*self.foot, np.array(0.0))
         return (ecef - origin) @ enu_axes(*self.foot).T
 
     @property
-    def local_rotation(self) -> np.ndarray:
+    def local_rotation(self) -> Array:
         """(s, 3, 3) from these axes to the cameras."""
         s = self.stations
         return s.camera_from_enu @ enu_axes(s.lat_rad, s.lon_rad) @ enu_axes(*self.foot).T
@@ -248,10 +249,10 @@ def fly_block(
 
 def _places(
     latitude: float,
-    x: np.ndarray,
-    y: np.ndarray,
-    h_msl: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    x: Array,
+    y: Array,
+    h_msl: Array,
+) -> tuple[Array, Array, Array]:
     """ECEF, latitude and longitude of places about x east, y north [m] of a latitude [rad]."""
     lat = latitude + y / 6.37e6
     lon = 0.15 + x / (6.38e6 * np.cos(latitude))
@@ -261,7 +262,7 @@ def _places(
     return ecef, lat, lon
 
 
-def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) -> np.ndarray:
+def correct(block: Block, profile: Profile, pixels: Array | None = None) -> Array:
     """(n, 2) pixels that the package makes of the measured ones, or of others beside them."""
     if pixels is None:
         pixels = block.measured
@@ -305,7 +306,7 @@ def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) ->
 class Adjusted:
     """Errors (n, 3) east, north, up [m] of points that are not control, and the cameras."""
 
-    error: np.ndarray
+    error: Array
     interior: dict[int, list[float]]
 
     @property
@@ -316,7 +317,7 @@ class Adjusted:
 
 def adjust(
     block: Block,
-    pixels: np.ndarray,
+    pixels: Array,
     *,
     control: int = 0,
     gnss: bool = False,
@@ -412,7 +413,7 @@ NODES = np.array(
 )
 
 
-def _control(true: np.ndarray, usable: list[int]) -> list[int]:
+def _control(true: Array, usable: list[int]) -> list[int]:
     """Of some points, those nearest to the nodes."""
     plane = true[:, :2]
     low = plane.min(axis=0)

@@ -48,6 +48,7 @@ METRES_NORTH = 6.37e6  # of a radian
 METRES_EAST = 6.38e6 * np.cos(LATITUDE)
 IMAGES = 20  # of each head: four lines of five
 POINTS = 300
+Array = np.ndarray
 
 
 class TrueIndex:
@@ -73,21 +74,21 @@ class TrueIndex:
 class HeldBlock:
     """(s,) images and (p,) points, earth-centred; (r,) rows of what was measured."""
 
-    image: np.ndarray
-    camera: np.ndarray
-    centre: np.ndarray
-    camera_from_enu: np.ndarray
-    point: np.ndarray
-    place: np.ndarray
+    image: Array
+    camera: Array
+    centre: Array
+    camera_from_enu: Array
+    point: Array
+    place: Array
     rows: pd.DataFrame  # image, point (numbers), x_px, y_px, h_g_m
 
-    def in_frame(self, ecef: np.ndarray) -> np.ndarray:
+    def in_frame(self, ecef: Array) -> Array:
         """(n, 3) east, north, up [m] about the middle of the block at sea level."""
         origin = to_ecef(LATITUDE, LONGITUDE, np.array(0.0))
         return (ecef - origin) @ enu_axes(LATITUDE, LONGITUDE).T
 
     @property
-    def camera_from_frame(self) -> np.ndarray:
+    def camera_from_frame(self) -> Array:
         return self.camera_from_enu @ axes_at(self.centre) @ enu_axes(LATITUDE, LONGITUDE).T
 
 
@@ -100,19 +101,19 @@ def brown(x, y, k1, k2, p1, p2, k3):
     return u, v
 
 
-def distorted(tangents: np.ndarray) -> np.ndarray:
+def distorted(tangents: Array) -> Array:
     """(n, 2) pixels of tangents right and down."""
     u, v = brown(*tangents.T, *LENS)
     return FOCAL * np.column_stack([u, v]) + [CX, CY]
 
 
-def axes_at(ecef: np.ndarray) -> np.ndarray:
+def axes_at(ecef: Array) -> Array:
     """(n, 3, 3) the axes east, north, up of earth-centred places."""
     _, up = height_and_up(ecef)
     return enu_axes(*angles_of(up))
 
 
-def angles_of(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def angles_of(up: Array) -> tuple[Array, Array]:
     """Latitude and longitude [rad] of verticals."""
     x, y, z = up.T
     return np.arcsin(z), np.arctan2(y, x)
@@ -178,10 +179,10 @@ def fly(
 
 
 def ecef_of(
-    x: np.ndarray,
-    y: np.ndarray,
-    h_msl_m: np.ndarray,
-) -> np.ndarray:
+    x: Array,
+    y: Array,
+    h_msl_m: Array,
+) -> Array:
     """Earth-centred places x east and y north [m] of the middle of the block."""
     lat = LATITUDE + y / METRES_NORTH
     lon = LONGITUDE + x / METRES_EAST
@@ -192,7 +193,7 @@ def pairs_in_view(
     block: HeldBlock,
     each: int,
     rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """Numbers of images and of points well inside them, at most so many of each image."""
     axes = axes_at(block.centre)
     pairs = []
@@ -214,8 +215,8 @@ def pairs_in_view(
 
 def measured(
     block: HeldBlock,
-    station: np.ndarray,
-    point: np.ndarray,
+    station: Array,
+    point: Array,
 ) -> pd.DataFrame:
     """What these images see of these points, along bent rays."""
     centre = block.centre[station]
@@ -281,7 +282,7 @@ def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
     return path
 
 
-def intersected(block: HeldBlock, tangents: np.ndarray) -> np.ndarray:
+def intersected(block: HeldBlock, tangents: Array) -> Array:
     """(p, 3) errors east, north, up [m] of points from straight rays (r, 2), right and down.
 
     Least squares of the distances, weighted by what a pixel is worth there; poses are held.

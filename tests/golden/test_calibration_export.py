@@ -43,6 +43,7 @@ import pycolmap
 from .bundle_adjustment import Adjustment
 
 PIXEL_MM = 0.005
+Array = np.ndarray
 
 
 class Exported:
@@ -69,11 +70,11 @@ class Exported:
         self.calibration_of_image = pd.Index(self.names).get_indexer(calibrations)
 
     @property
-    def measured(self) -> np.ndarray:
+    def measured(self) -> Array:
         """(r, 2) the measured pixels."""
         return self.block.rows[["x_px", "y_px"]].to_numpy()
 
-    def corrected(self) -> np.ndarray:
+    def corrected(self) -> Array:
         """(r, 2) the run's own corrected pixels, in the order of the block's rows."""
         table = pd.read_parquet(self.run / "observations")
         return table[["x_corrected_px", "y_corrected_px"]].to_numpy()
@@ -115,9 +116,9 @@ def colmap_cameras(folder: Path, work: Path) -> dict:
 
 def adjusted(
     exported: Exported,
-    pixels: np.ndarray,
+    pixels: Array,
     cameras: dict,
-) -> np.ndarray:
+) -> Array:
     """(p, 3) errors of points that pycolmap adjusts with poses and cameras held."""
     block = exported.block
     adjustment = Adjustment()
@@ -158,7 +159,7 @@ def laboratory_camera(number: int) -> pycolmap.Camera:
     )
 
 
-def rms_z(errors: np.ndarray) -> float:
+def rms_z(errors: Array) -> float:
     return np.sqrt(np.mean(errors[:, 2] ** 2))
 
 
@@ -272,9 +273,9 @@ def test_straight_down_the_change_is_k(above, ppm, tmp_path):
 def metashape_pixels(
     folder: Path,
     name: str,
-    u: np.ndarray,
-    v: np.ndarray,
-) -> np.ndarray:
+    u: Array,
+    v: Array,
+) -> Array:
     """(2, n) of the tangents u right and v down; Metashape's p1 and p2 are OpenCV's p2 and p1."""
     xml = ElementTree.parse(folder / f"{name}.xml").getroot()
     m = {tag.tag: float(tag.text) for tag in xml if tag.tag != "projection"}
@@ -295,9 +296,9 @@ def metashape_pixels(
 def opensfm_pixels(
     folder: Path,
     name: str,
-    u: np.ndarray,
-    v: np.ndarray,
-) -> np.ndarray:
+    u: Array,
+    v: Array,
+) -> Array:
     """pixel = normalised * max(w, h) + (w - 1) / 2, its first pixel's centre at 0."""
     models = json.loads((folder / "camera_models.json").read_text(encoding="utf-8"))
     o = models[name]
@@ -319,9 +320,9 @@ def opensfm_pixels(
 def opencv_pixels(
     folder: Path,
     name: str,
-    u: np.ndarray,
-    v: np.ndarray,
-) -> np.ndarray:
+    u: Array,
+    v: Array,
+) -> Array:
     text = (folder / f"{name}.yaml").read_text(encoding="utf-8")
     text = text.removeprefix("%YAML:1.0\n---\n").replace("!!opencv-matrix", "")
     cv = yaml.safe_load(text)

@@ -54,7 +54,8 @@ ORIGIN = np.array([1_000_000.0, 112_400.0, 0.0])
 GROUND_M = 140.0  # of all points, to 10 m or so
 WITHIN_M = 0.05  # the control is held: this moves a check point by 4.4 cm
 PIXELS = ["x_px", "y_px"]
-Poses = dict[str, tuple[np.ndarray, np.ndarray]]
+Array = np.ndarray
+Poses = dict[str, tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Solution:
     image_points: int
     least_rms_px: float
     most_rms_px: float
-    checks: dict[str, np.ndarray]
+    checks: dict[str, Array]
 
 
 STRASBOURG = Solution(
@@ -78,7 +79,7 @@ STRASBOURG = Solution(
 )
 
 
-def known_solution(points: dict[str, np.ndarray], marks: pd.DataFrame) -> Solution:
+def known_solution(points: dict[str, Array], marks: pd.DataFrame) -> Solution:
     """Of the block that is written here: the true check points, and what is left of the noise.
 
     Five cameras and all points but the control take their share of it; the rest is known to a
@@ -120,7 +121,7 @@ class Project:
     camera: tuple[float, float, float]
     poses: Poses
     rows: pd.DataFrame
-    control: dict[str, np.ndarray]
+    control: dict[str, Array]
     solution: Solution
 
 
@@ -194,14 +195,14 @@ def read(block) -> Project:
     )
 
 
-def rotations_of(quaternions: np.ndarray) -> np.ndarray:
+def rotations_of(quaternions: Array) -> Array:
     return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
 
 
 def poses_by_image(
     images,
-    turns: np.ndarray,
-    centres: np.ndarray,
+    turns: Array,
+    centres: Array,
 ) -> Poses:
     poses = zip(turns, centres, strict=True)
     return dict(zip(images, poses, strict=True))
@@ -211,7 +212,7 @@ def joined(batches) -> pd.DataFrame:
     return pd.concat([batch.to_pandas() for batch in batches], ignore_index=True)
 
 
-def adjust(project: Project) -> tuple[float, int, dict[str, np.ndarray]]:
+def adjust(project: Project) -> tuple[float, int, dict[str, Array]]:
     """Point RMS [px], how many image points, and the adjusted check points.
 
     DBAT's sigmas are 0.5 px of marked points (their numbers are small) and 1 px of the others: a
@@ -395,8 +396,8 @@ def exported(project: Project, name: str, folder: Path) -> Path:
 
 def in_dbats_frame(
     poses: Poses,
-    turns: np.ndarray,
-    places: np.ndarray,
+    turns: Array,
+    places: Array,
 ) -> Poses:
     """Orientations in another frame, turned back by the places of the cameras: the same poses."""
     centres = np.stack([centre for _, centre in poses.values()])
@@ -462,8 +463,8 @@ class BundlerBlock:
 
     focal_px: float
     names: list[str]
-    turns: np.ndarray  # to COLMAP's axes
-    centres: np.ndarray
+    turns: Array  # to COLMAP's axes
+    centres: Array
     rows: pd.DataFrame
 
 
