@@ -28,6 +28,8 @@ from unbend.tables.exports import FORMATS
 from unbend.tables.exports.format import write_csv_stream
 from unbend.tables.writing import PROFILE_ID, table_of_profile, table_of_stations
 
+from .conftest import measured_rows, observe, result_rows, station_rows
+
 COLUMNS = ["image", "x_px", "y_px", "dx_px", "dy_px", "h_g_m", "status"]
 FEW_NODES = ("--columns", 2, "--rows", 2)
 
@@ -127,7 +129,7 @@ def test_at_its_nodes_the_lattice_is_what_a_run_makes_of_them(mission, lattice):
     nodes = pd.DataFrame(product(images, x, y), columns=place)
     nodes["point"] = nodes.index.astype(str)
     nodes["h_g_m"] = 321.0
-    mission.observe(pa.Table.from_pandas(nodes, preserve_index=False))
+    observe(mission, nodes)
     mission.run_to_manifest()
 
     grid, _ = lattice(
@@ -138,7 +140,7 @@ def test_at_its_nodes_the_lattice_is_what_a_run_makes_of_them(mission, lattice):
         4,
     )
 
-    run = mission.results().to_pandas().merge(grid, on=place)
+    run = result_rows(mission).merge(grid, on=place)
     assert len(grid) == len(nodes) == len(run)
     assert set(grid["h_g_m"]) == {321.0}
     for axis in "xy":
@@ -152,7 +154,7 @@ def test_between_its_nodes_the_lattice_is_nearly_what_the_run_did(mission, latti
     ended = mission.run()  # tie points contradict one height for a hilly ground
     assert ended.code == 3
     assert "TIES-HEIGHT" in ended.out
-    run = mission.results().to_pandas()
+    run = result_rows(mission)
     run = run[run["status"] == "ok"]
     run["dx_px"] = run["x_corrected_px"] - run["x_px"]
     run["dy_px"] = run["y_corrected_px"] - run["y_px"]
@@ -184,7 +186,7 @@ def test_the_ground_is_the_median_of_each_image(baseline, lattice):
 
 def median_heights(mission) -> pd.Series:
     """Of the ground in the observations of each image."""
-    return mission.results().to_pandas().groupby("image")["h_g_m"].median()
+    return result_rows(mission).groupby("image")["h_g_m"].median()
 
 
 def test_csv_holds_the_same_numbers(baseline, export, lattice):
@@ -202,10 +204,10 @@ def test_csv_holds_the_same_numbers(baseline, export, lattice):
 
 
 def test_images_without_observations_get_the_ground_of_the_others(mission, lattice):
-    table = mission.measurements().to_pandas()
+    table = measured_rows(mission)
     left_out = table["image"][0]
     table = table[table["image"] != left_out]
-    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
+    observe(mission, table)
     mission.run()
 
     rows, text = lattice(mission.output, *FEW_NODES)
@@ -217,9 +219,9 @@ def test_images_without_observations_get_the_ground_of_the_others(mission, latti
 
 
 def test_what_has_no_lattice_is_said(mission, lattice):
-    table = mission.measurements().to_pandas()
+    table = measured_rows(mission)
     table.loc[0, "image"] = "unknown.tif"
-    mission.observe(pa.Table.from_pandas(table))
+    observe(mission, table)
     mission.run_to_manifest(3)
     rows, text = lattice(mission.output, *FEW_NODES, exit_code=3)
     assert "EXPORT-LEFT-OUT: 1 image " in text
@@ -227,8 +229,8 @@ def test_what_has_no_lattice_is_said(mission, lattice):
 
 
 def test_a_run_without_ground_heights_says_so(mission, lattice):
-    table = mission.measurements().to_pandas()
-    mission.observe(pa.Table.from_pandas(table.assign(h_g_m=np.nan)))
+    table = measured_rows(mission)
+    observe(mission, table.assign(h_g_m=np.nan))
     mission.run_to_manifest(3)
     rows, text = lattice(mission.output, *FEW_NODES, exit_code=3)
     assert "EXPORT-NO-GROUND" in text
@@ -253,7 +255,7 @@ def test_radial_tables_by_flying_height(baseline, export):
     assert ended.code == 0
     assert "EXPORT-WINDOW" in ended.out
     rows = pd.read_parquet(out)
-    stations = baseline.stations().to_pandas()
+    stations = station_rows(baseline)
     tables = rows.drop_duplicates(["camera", "h_c_m"])
     images = tables.groupby("camera")["images"].sum()
     assert images.to_dict() == stations["camera"].value_counts().to_dict()
@@ -271,8 +273,8 @@ def test_radial_tables_by_flying_height(baseline, export):
 def test_a_radial_table_agrees_with_the_observations(baseline, export):
     """R_c of the observations themselves, where the ground is within 20 m of the table's."""
     out, _ = export(baseline.output, "radial-csv")
-    stations = baseline.stations().to_pandas()
-    run = baseline.results().to_pandas().merge(stations, on="image")
+    stations = station_rows(baseline)
+    run = result_rows(baseline).merge(stations, on="image")
     run = run[run["status_x"] == "ok"]
     for camera, tables in pd.read_csv(out).groupby("camera"):
         first = tables.iloc[0]

@@ -23,6 +23,8 @@ from unbend.batch.proposal.proposed_cameras import proposed_cameras
 from unbend.flight.channels import Channel
 from unbend.flight.image_names import name_series
 
+from .conftest import measured_rows, result_rows
+
 TWO_HEADS = yaml.safe_load("""
 cameras:
   head0: &camera
@@ -101,7 +103,7 @@ def table(mission):
 
     def write(**columns: str) -> Path:
         path = mission.folder / "o.csv"
-        rows = mission.measurements().to_pandas()
+        rows = measured_rows(mission)
         rows.rename(columns=columns).to_csv(path, index=False)
         return path
 
@@ -138,13 +140,13 @@ def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_g
     obeyed("check", flown.save())
     if kind == "bin":
         flown.run_to_manifest()
-        results = flown.results().to_pandas()
-        pd.testing.assert_frame_equal(results, baseline.results().to_pandas(), check_exact=True)
+        results = result_rows(flown)
+        pd.testing.assert_frame_equal(results, result_rows(baseline), check_exact=True)
 
 
 def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):
     """Beside remarks on lines of their own; the flight has one channel, and no cabin."""
-    rows = mission.measurements().to_pandas()
+    rows = measured_rows(mission)
     table = mission.folder / "o.csv"
     rows[rows["image"].str.startswith("nadir")].to_csv(table, index=False)
     facts = LogFacts(events=(events("CAM[0]", 1, 3),), takeoff="take-off 450 m above the sea")
@@ -406,7 +408,7 @@ def test_results_get_a_folder_of_the_name_of_the_mission(mission, proposed, tmp_
 
 def test_names_of_files_do_not_break_the_yaml(mission, proposed, tmp_path):
     log = mission.log.rename(tmp_path / "a: b #c, {d}.bin")
-    rows = mission.measurements().to_pandas()
+    rows = measured_rows(mission)
     rows["image"] = 'x: "{y}" # ' + rows["image"]
     path = tmp_path / "o #1.csv"
     rows.to_csv(path, index=False)

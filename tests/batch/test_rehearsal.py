@@ -19,6 +19,8 @@ from unbend.messages import Ledger
 from unbend.tables.observations import open_observations
 from unbend.tables.row_sample import RowSample
 
+from .conftest import measured_rows, observe, result_rows, station_rows
+
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 COLUMNS = {
@@ -29,12 +31,8 @@ COLUMNS = {
 }
 
 
-def observe(mission, table: pd.DataFrame) -> None:
-    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
-
-
 def renamed_column(mission):
-    table = mission.measurements().to_pandas()
+    table = measured_rows(mission)
     observe(mission, table.assign(h_g_m_input=1.0))
 
 
@@ -61,7 +59,7 @@ def set_rows(column, value, count):
     """A value in the first rows of a column of the observations."""
 
     def spoil(mission):
-        table = mission.measurements().to_pandas()
+        table = measured_rows(mission)
         table.loc[: count - 1, column] = value
         observe(mission, table)
 
@@ -151,7 +149,7 @@ def test_check_says_what_run_says(mission, change):
 
 def many_rows(mission) -> None:
     """Every observation 250 times, of each second image ten times as often; a tenth no number."""
-    table = mission.measurements().to_pandas()
+    table = measured_rows(mission)
     is_second = table["image"].rank(method="dense") % 2 == 0
     copies = np.where(is_second, 2500, 250)
     table = table.loc[table.index.repeat(copies)]
@@ -301,7 +299,7 @@ def span(values: pd.Series, digits: int) -> str:
 def test_the_lines_have_the_numbers_of_the_run(mission):
     lines = dict(rehearsal_lines(check_mission(mission.save())))
     run_mission(mission.file)
-    stations = mission.stations().to_pandas()
+    stations = station_rows(mission)
     rows = (
         mission.results()
         .to_pandas()
@@ -356,11 +354,11 @@ def test_what_ten_metres_do_is_what_they_do(mission):
     """The ground 10 m higher in the mission file moves the corrections by what check says."""
     lines = dict(rehearsal_lines(check_mission(mission.save())))
     run_mission(mission.file)
-    before = mission.results().to_pandas()
-    table = mission.measurements().to_pandas()
+    before = result_rows(mission)
+    table = measured_rows(mission)
     observe(mission, table.assign(h_g_m=table["h_g_m"] + 10.0))
     run_mission(mission.save())
-    after = mission.results().to_pandas()
+    after = result_rows(mission)
 
     moved_x = after["x_corrected_px"] - before["x_corrected_px"]
     moved_y = after["y_corrected_px"] - before["y_corrected_px"]

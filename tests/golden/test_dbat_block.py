@@ -297,10 +297,6 @@ def assert_same_image_points(
         assert np.abs(pairs[axis] - pairs[f"{axis}_before"]).max() <= within_px
 
 
-def test_the_files_give_dbats_solution(raw):
-    assert_is_dbats(raw)
-
-
 def test_what_is_read_gives_dbats_solution(raw, read):
     assert read.camera == pytest.approx(raw.camera, abs=1e-9)
     assert list(read.poses) == list(raw.poses)
