@@ -32,15 +32,13 @@ def row(text: str, label: str) -> list[str]:
 def test_the_size_of_refraction(label, factor):
     air = standard_atmosphere("us1976")
     heights = np.array([120.0, 3000.0, 6000.0, 9000.0])
-    values = (
-        refraction_angle(
-            air,
-            heights,
-            0.0,
-            np.pi / 4,
-        )
-        * factor
+    angles_rad = refraction_angle(
+        air,
+        heights,
+        0.0,
+        np.pi / 4,
     )
+    values = angles_rad * factor
     for shown, value in zip(row(PAGE, label), values, strict=True):
         digits = len(shown.partition(".")[2])
         assert float(shown) == pytest.approx(value, abs=0.51 * 10.0**-digits)

@@ -293,8 +293,8 @@ def assert_same_image_points(
         suffixes=("", "_before"),
     )
     assert len(pairs) == len(rows) == len(project.rows)
-    for axis in PIXELS:
-        assert np.abs(pairs[axis] - pairs[f"{axis}_before"]).max() <= within_px
+    before = pairs[["x_px_before", "y_px_before"]]
+    np.testing.assert_allclose(pairs[PIXELS], before, rtol=0.0, atol=within_px)
 
 
 def test_what_is_read_gives_dbats_solution(raw, read):
