@@ -60,13 +60,15 @@ def test_the_height_errors_of_a_nadir_block():
 
 def test_what_us_1976_leaves():
     """0.3 to 21 % over all heights, and the range of each height beside it."""
-    least, most = np.transpose([range_of(f"left by US 1976 [%], {km} km") for km in (3, 6, 9)])
+    ranges = [range_of(f"left by US 1976 [%], {km} km") for km in (3, 6, 9)]
+    least, most = np.transpose(ranges)
 
     ((low, high),) = re.findall(r"^\| ([\d.]+) to (\d+) % \| height error", PAGE, re.MULTILINE)
     assert float(low) == round(min(least), 1)
     assert float(high) == round(max(most))
     (each,) = re.findall(r"3, 6 and 9 km: ([^|]+) \|", PAGE)
-    lows, highs = np.transpose(re.findall(r"([\d.]+) to (\d+) %", each)).astype(float)
+    figures = re.findall(r"([\d.]+) to (\d+) %", each)
+    lows, highs = np.transpose(figures).astype(float)
     assert lows == pytest.approx(least, abs=0.5)
     assert highs.tolist() == np.round(most).tolist()
 
