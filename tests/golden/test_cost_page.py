@@ -17,7 +17,7 @@ WHEN = (DOCS / "when.md").read_text(encoding="utf-8")
 
 def row(text: str, label: str) -> list[str]:
     """The cells of the one row of a table that begins with a label."""
-    (line,) = (line for line in text.splitlines() if line.startswith(f"| {label}"))
+    (line,) = re.findall(rf"^\| {re.escape(label)}.*", text, re.MULTILINE)
     return re.split(r"\s*\|\s*", line.strip("| "))[1:]
 
 
