@@ -114,15 +114,17 @@ PLACES = {"time": "t", "latitude": "lat", "longitude": "lon", "height": "h"}
 
 @pytest.fixture
 def trajectory_of(write):
-    """Reads rows with places and more columns: the channel, and the only loss of reading it."""
+    """Reads rows with places and more columns: the channel, and the losses by their codes."""
 
-    def read(rows: list[str], stated: Stated = UTC, **more: str) -> tuple[Channel, Message]:
+    def read(
+        rows: list[str], stated: Stated = UTC, **more: str
+    ) -> tuple[Channel, dict[str, Message]]:
         columns = PLACES | more
         path = write("flight.csv", [",".join(columns.values()), *rows])
         ledger = Ledger()
         channel = read_trajectory_csv(path, replace(stated, columns=columns), ledger)
-        (loss,) = (entry for entry in ledger if entry.kind == "loss")
-        return channel, loss
+        losses = {entry.code: entry for entry in ledger if entry.kind == "loss"}
+        return channel, losses
 
     return read
 
@@ -153,11 +155,11 @@ def test_a_row_without_a_place_or_a_time_is_lost(trajectory_of, place, word):
     fields[place] = word
     rows[2] = ",".join(fields)
 
-    channel, loss = trajectory_of(rows)
+    channel, losses = trajectory_of(rows)
 
     seconds = channel.time_ns / NS_PER_S - START_S
     assert seconds.tolist() == [0.5, 1.5, 3.5, 4.5]
-    assert loss.code == "IMPORT-ROWS"
+    loss = losses["IMPORT-ROWS"]
     assert loss.count == 1
     assert "row 3" in loss.what
 
@@ -177,11 +179,10 @@ def test_a_value_that_no_flight_has_is_unknown_and_counted(trajectory_of, column
     rows = sound_rows(",0.25")
     rows[2] = rows[2].replace(",0.25", f",{word}")
 
-    channel, loss = trajectory_of(rows, **{column: "c"})
+    channel, losses = trajectory_of(rows, **{column: "c"})
 
     assert np.isnan(channel[column]).tolist() == ONLY_THIRD
-    assert loss.code == "IMPORT-VALUES"
-    assert loss.count == 1
+    assert losses["IMPORT-VALUES"].count == 1
 
 
 @pytest.mark.parametrize("first", ["0", "2", "0.9", "1e308"])
@@ -189,23 +190,21 @@ def test_a_quaternion_of_another_length_is_no_attitude(trajectory_of, first):
     rows = sound_rows(",1,0,0,0")
     rows[2] = rows[2].replace(",1,0,0,0", f",{first},0,0,0")
 
-    channel, loss = trajectory_of(rows, q_w="w", q_x="x", q_y="y", q_z="z")
+    channel, losses = trajectory_of(rows, q_w="w", q_x="x", q_y="y", q_z="z")
 
     is_unknown = np.isnan(channel["q_x"]) | np.isnan(channel["q_w"])
     assert is_unknown.tolist() == ONLY_THIRD
-    assert loss.code == "IMPORT-VALUES"
-    assert loss.count == 1
+    assert losses["IMPORT-VALUES"].count == 1
 
 
 def test_the_seconds_of_the_week_go_on_over_a_damaged_one(trajectory_of):
     rows = sound_rows(start_s=TOW)
     rows[1] = rows[1].replace(f"{TOW + 1}.5", "1e400")
 
-    channel, loss = trajectory_of(rows, GPST)
+    channel, losses = trajectory_of(rows, GPST)
 
     assert np.diff(channel.time_ns).tolist() == [2 * NS_PER_S, NS_PER_S, NS_PER_S]
-    assert loss.code == "IMPORT-ROWS"
-    assert loss.count == 1
+    assert losses["IMPORT-ROWS"].count == 1
 
 
 @pytest.mark.parametrize(
