@@ -413,7 +413,7 @@ def extreme_mcap(draw: random.Random) -> bytes:
     }
     parts = []
     for number, (name, definition) in kinds.items():
-        parts.append(hostile.schema(number, name, "ros2msg", definition))
+        parts.append(hostile.schema(number, name, definition))
         parts.append(hostile.channel(number, number, f"/t{number}", "cdr"))
     parts.append(hostile.channel(9, 0, "/json", "json"))
     share = draw.choice((0.02, 0.5, 1.0))

@@ -68,17 +68,15 @@ def chunk(records: bytes) -> bytes:
 def mcap(records: bytes) -> bytes:
     """A file of these records, without a summary."""
     magic = b"\x89MCAP0\r\n"
+    begin = record(1, text("ros2") + text("hostile"))
     end = record(15, bytes(4)) + record(2, bytes(20))
-    return magic + record(1, text("ros2") + text("hostile")) + records + end + magic
+    return magic + begin + records + end + magic
 
 
-def schema(
-    number: int,
-    name: str,
-    encoding: str,
-    definition: str,
-) -> bytes:
-    return record(3, pack("<H", number) + text(name) + text(encoding) + text(definition))
+def schema(number: int, name: str, definition: str) -> bytes:
+    """A message of ROS."""
+    content = pack("<H", number) + text(name) + text("ros2msg") + text(definition)
+    return record(3, content)
 
 
 def channel(
@@ -88,7 +86,8 @@ def channel(
     encoding: str,
 ) -> bytes:
     head = pack("<HH", number, schema_number)
-    return record(4, head + text(topic) + text(encoding) + pack("<I", 0))
+    content = head + text(topic) + text(encoding) + pack("<I", 0)
+    return record(4, content)
 
 
 def message(number: int, k: int, content: bytes) -> bytes:
@@ -119,8 +118,7 @@ def pressures(count: int) -> bytes:
 
 def stamped_schema(number: int, name: str, fields: str) -> bytes:
     """A message of ROS with a header."""
-    definition = f"std_msgs/Header header\n{fields}{HEADER_OF_ROS}"
-    return schema(number, name, "ros2msg", definition)
+    return schema(number, name, f"std_msgs/Header header\n{fields}{HEADER_OF_ROS}")
 
 
 PRESSURE = stamped_schema(1, FLUID_PRESSURE, "float64 fluid_pressure\n")
@@ -137,7 +135,7 @@ def elements_of_bytes(n: int) -> bytes:
     fields = "a/Pair[] a\na/Pair[] b\na/Pair[] c\nfloat64 fluid_pressure\n"
     pair = "\n===\nMSG: a/Pair\nuint8 x\nuint8 y\n"
     definition = f"std_msgs/Header header\n{fields}{HEADER_OF_ROS}{pair}"
-    definitions = schema(2, FLUID_PRESSURE, "ros2msg", definition)
+    definitions = schema(2, FLUID_PRESSURE, definition)
     definitions += channel(2, 2, "/bytes", "cdr")
     content = stamped(0)
     for _ in range(3):
@@ -309,7 +307,13 @@ def binary_definition(
 def definition_of(name: str) -> bytes:
     form = FORMATS[name]
     length = 3 + form.struct.size
-    return binary_definition(form.type_id, form.name, form.format, form.columns, length)
+    return binary_definition(
+        form.type_id,
+        form.name,
+        form.format,
+        form.columns,
+        length,
+    )
 
 
 def baro_record(time_us: int, pressure_pa: float = 90_000.0) -> bytes:

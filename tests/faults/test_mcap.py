@@ -351,7 +351,7 @@ def chunk(compression: str, promised: int, packed: bytes, crc: int = 0) -> bytes
 
 def schema_bomb(definition: str) -> bytes:
     """A topic of pressure whose definition takes long to take apart, and messages."""
-    definitions = schema(900, FLUID_PRESSURE, "ros2msg", definition)
+    definitions = schema(900, FLUID_PRESSURE, definition)
     definitions += channel(900, 900, "/bomb", "cdr")
     return definitions + message(900, 0, CDR + bytes(64)) * 50
 
