@@ -183,8 +183,8 @@ def test_workers_that_differ_are_refused_before_any_work(machines, tmp_path, mon
     assert text.startswith("WORKER-FILES: this worker does not find 1 mission file")
     assert "nowhere.yaml" in text
     versions = dask_executor.versions_here()
-    others = versions | {"numpy": "1.0", "more": "2"}
-    monkeypatch.setattr(dask_executor, "versions_here", lambda: others)
+    changed = versions | {"numpy": "1.0", "more": "2"}
+    monkeypatch.setattr(dask_executor, "versions_here", lambda: changed)
     text = refusal(file)
     assert text.startswith("WORKER-VERSION: ")
     assert f"more missing (here 2), numpy {versions['numpy']} (here 1.0)" in text

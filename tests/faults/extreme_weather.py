@@ -198,10 +198,10 @@ def write_gtx(folder: Path, draw: random.Random) -> None:
     head = np.array([46.0, 7.0, 0.25, 0.25])
     size = np.array([5, 6], "i4")
     values = np.full((5, 6), 47.5, "f4")
-    what = draw.choice("hsv")
-    if what == "h":
+    part = draw.choice("hsv")
+    if part == "h":
         head = extreme_numbers(head, draw)
-    elif what == "s":
+    elif part == "s":
         size = extreme_numbers(size, draw)
     else:
         values = extreme_numbers(values, draw)

@@ -44,23 +44,23 @@ class Recipe(NamedTuple):
 def mutated(data: bytes, kind: int, seed: int) -> bytes:
     """The bytes of a log after one damage."""
     draw = random.Random(seed * len(KINDS) + kind)
-    at = draw.randrange(len(data))
+    place = draw.randrange(len(data))
     name = KINDS[kind]
     if name == "truncate":
-        return data[:at]
+        return data[:place]
     if name == "flip_bit":
-        flipped = data[at] ^ 1 << draw.randrange(8)
-        return data[:at] + bytes([flipped]) + data[at + 1 :]
+        flipped = data[place] ^ 1 << draw.randrange(8)
+        return data[:place] + bytes([flipped]) + data[place + 1 :]
     if name == "overwrite_16":
-        end = min(at + 16, len(data))
-        return data[:at] + draw.randbytes(end - at) + data[end:]
+        end = min(place + 16, len(data))
+        return data[:place] + draw.randbytes(end - place) + data[end:]
     if name == "zero_4k":
-        end = min(at + 4096, len(data))
-        return data[:at] + bytes(end - at) + data[end:]
-    end = at + draw.randint(1, LONGEST)
+        end = min(place + 4096, len(data))
+        return data[:place] + bytes(end - place) + data[end:]
+    end = place + draw.randint(1, LONGEST)
     if name == "delete":
-        return data[:at] + data[end:]
-    return data[:end] + data[at:]
+        return data[:place] + data[end:]
+    return data[:end] + data[place:]
 
 
 def recipes(files: int, count: int, first_seed: int = 0) -> Iterator[Recipe]:
@@ -109,8 +109,8 @@ def peak_bytes() -> int:
 
 def damage_reported(log: Log) -> bool:
     """Whether a log says that something of it was lost, repaired or is doubtful."""
-    said = any(entry.kind in ("loss", "warning") for entry in log.ledger)
-    return bool(log.bad_bytes or log.lost_messages or said)
+    is_told = any(entry.kind in ("loss", "warning") for entry in log.ledger)
+    return bool(log.bad_bytes or log.lost_messages or is_told)
 
 
 def fewer(log: Log, whole: Log) -> int:

@@ -286,8 +286,8 @@ def test_a_long_field_in_the_head_of_an_orientation_takes_no_time(filling):
 def test_a_pressure_that_no_height_has_is_none(write):
     """5e-324 hPa overflowed with the vapour pressure above it."""
     *lines, last = PLAIN_SOUNDING.splitlines()
-    height, _, *others = last.split(",")
-    lines.append(",".join([height, "5e-324", *others]))
+    height, _, *more = last.split(",")
+    lines.append(",".join([height, "5e-324", *more]))
     path = write("s.csv", lines)
     ledger = Ledger()
     sounding = read_sounding(path, ledger, time_ns=NOON_NS)

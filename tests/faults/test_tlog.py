@@ -122,12 +122,12 @@ def at_a_boundary(data: bytes, whole: bytes) -> bool:
 
 def frames_of(data: bytes) -> list[bytes]:
     frames = []
-    at = 0
-    while at < len(data):
-        two = data[at + 8] == 0xFD
-        end = at + 8 + data[at + 9] + (12 if two else 8)
-        frames.append(data[at:end])
-        at = end
+    begin = 0
+    while begin < len(data):
+        two = data[begin + 8] == 0xFD
+        end = begin + 8 + data[begin + 9] + (12 if two else 8)
+        frames.append(data[begin:end])
+        begin = end
     return frames
 
 

@@ -298,11 +298,11 @@ def test_a_field_may_be_filled_with_blanks():
 @pytest.mark.parametrize("angle_deg", [360.0, -360.0, 400.0, 450.0, -720.0])
 def test_a_mount_may_turn_more_than_once(angle_deg):
     """As the sum of two angles: the camera sits as after the rest of the last turn."""
-    rest_deg = float(np.fmod(angle_deg, 360.0))
+    reduced_deg = float(np.fmod(angle_deg, 360.0))
     for name in ("roll_deg", "pitch_deg", "yaw_deg"):
         turned = MountSection.model_validate({name: angle_deg}).mount
-        rest = MountSection.model_validate({name: rest_deg}).mount
-        np.testing.assert_allclose(turned.camera_from_body, rest.camera_from_body, atol=1e-12)
+        reduced = MountSection.model_validate({name: reduced_deg}).mount
+        np.testing.assert_allclose(turned.camera_from_body, reduced.camera_from_body, atol=1e-12)
 
 
 class WithPath(MountSection):

@@ -369,9 +369,9 @@ def adjust(
     tracks = adjustment.tracks
     points = sorted(tracks)
     often_seen = sorted(points, key=lambda p: -len(tracks[p]))[: len(points) // 2]
-    held = _control(true, often_seen)[:control]
+    fixed = _control(true, often_seen)[:control]
     for p in points:
-        adjustment.add_point(p, true[p], constant=p in held)
+        adjustment.add_point(p, true[p], constant=p in fixed)
 
     options = adjustment.options
     options.refine_rig_from_world = bool(control or gnss)
@@ -391,7 +391,7 @@ def adjust(
         adjustment.solve(solver)
     else:
         adjustment.solve()
-    error = [adjustment.position(p) - true[p] for p in points if p not in held]
+    error = [adjustment.position(p) - true[p] for p in points if p not in fixed]
     cameras = adjustment.model.cameras
     params = {number: list(camera.params) for number, camera in cameras.items()}
     return Adjusted(np.array(error), params)

@@ -152,8 +152,8 @@ def test_the_remaining_error_is_the_air(runs, truth):
 
 
 def test_the_three_logs_agree(runs):
-    first, *others = (read_observations(run.output)[CORRECTED] for run in runs.values())
-    for points in others:
+    first, *more = (read_observations(run.output)[CORRECTED] for run in runs.values())
+    for points in more:
         assert distance(first, points).max() < 0.01
 
 

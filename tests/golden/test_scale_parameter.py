@@ -302,22 +302,22 @@ def adjusted(
 @pytest.mark.parametrize("sigmas", [1.0, -0.7])
 def test_an_oblique_block_finds_the_air(sigmas):
     """75 degrees, control and GNSS, no noise: within 2 % of the air that was drawn."""
-    found = adjusted("75", sigmas, sigma_px=0.05)
-    assert 0.02 < found.prior < 0.06
-    assert found.sigma < 0.1 * found.prior
-    assert found.s == pytest.approx(found.true, rel=0.02)
+    solution = adjusted("75", sigmas, sigma_px=0.05)
+    assert 0.02 < solution.prior < 0.06
+    assert solution.sigma < 0.1 * solution.prior
+    assert solution.s == pytest.approx(solution.true, rel=0.02)
 
 
 def test_the_other_sign_is_seen():
-    found = adjusted("75", 1.0, sigma_px=0.05, sign=-1.0)
-    assert found.s < -0.9 * found.true
+    solution = adjusted("75", 1.0, sigma_px=0.05, sign=-1.0)
+    assert solution.s < -0.9 * solution.true
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_with_noise_within_three_sigma(seed):
-    found = adjusted("75", 1.0, noise_px=0.3, seed=seed)
-    assert found.sigma < 0.3 * found.prior
-    assert abs(found.s - found.true) <= 3.0 * found.sigma
+    solution = adjusted("75", 1.0, noise_px=0.3, seed=seed)
+    assert solution.sigma < 0.3 * solution.prior
+    assert abs(solution.s - solution.true) <= 3.0 * solution.sigma
 
 
 @pytest.mark.parametrize(
@@ -335,8 +335,8 @@ def test_where_it_can_be_told(kind, free, least, most):
     interior = "free" if free else "fixed"
     (shown,) = re.findall(rf"\| {kind}[^|]*\| {interior} \| ([0-9.]+) \|", PAGE)
 
-    found = adjusted(kind, free=free)
+    solution = adjusted(kind, free=free)
 
-    share = found.sigma / found.prior
+    share = solution.sigma / solution.prior
     assert share == pytest.approx(float(shown), abs=0.02)
     assert least < share < most

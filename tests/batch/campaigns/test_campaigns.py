@@ -88,16 +88,16 @@ def make_season(mission, folder: Path) -> Season:
     season = Season(folder)
     shared = dict(mission.config)
     del shared["output"]
-    own = {key: shared.pop(key) for key in OWN}
-    own["atmosphere"] = {"soundings": [{"path": "balloon.csv"}]}
+    sections = {key: shared.pop(key) for key in OWN}
+    sections["atmosphere"] = {"soundings": [{"path": "balloon.csv"}]}
     for number in (0, 1):
         flight = season.flight(number)
         flight.mkdir(parents=True)
         shutil.copy(mission.log, flight / "flight.bin")
         shutil.copy(mission.folder / "observations.parquet", flight)
         (flight / "balloon.csv").write_text(sounding_text(), encoding="utf-8")
-        own["mission"]["name"] = f"flight-{number}"
-        (flight / "mission.yaml").write_text(yaml.safe_dump(own), encoding="utf-8")
+        sections["mission"]["name"] = f"flight-{number}"
+        (flight / "mission.yaml").write_text(yaml.safe_dump(sections), encoding="utf-8")
     content = {
         "campaign": {"name": "season", "output": "results"},
         "defaults": shared,
