@@ -61,7 +61,10 @@ class Season:
 
     def states(self) -> list[tuple[str, str | None]]:
         """State and code of each mission in the table."""
-        return [(row["state"], row["code"]) for row in self.rows()]
+        states = []
+        for row in self.rows():
+            states.append((row["state"], row["code"]))
+        return states
 
     def older(self) -> None:
         """Files that were written some seconds ago; newer ones are not trusted."""
