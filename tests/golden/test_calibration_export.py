@@ -340,6 +340,7 @@ def test_every_file_is_the_same_camera(five, tmp_path):
 
     u, v = map(np.ravel, np.meshgrid([-0.3, 0.1, 0.33], [-0.25, 0.05, 0.2]))
     cameras = colmap_cameras(five.folder, tmp_path / "model")
+    assert len(cameras) == len(names)
     for number, name in enumerate(names, start=1):
         camera = cameras[number]
         assert camera.model.name == "FULL_OPENCV"
