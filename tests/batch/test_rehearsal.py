@@ -33,7 +33,8 @@ COLUMNS = {
 
 def renamed_column(mission):
     table = measured_rows(mission)
-    observe(mission, table.assign(h_g_m_input=1.0))
+    table.insert(0, "h_g_m_input", 1.0)
+    observe(mission, table)
 
 
 def config(**changes):
