@@ -130,7 +130,8 @@ def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_g
     assert tree["ground"]["height"] == {"column": "h_g_m"}
     for camera in truth["cameras"].values():
         camera["f_px"] = camera["fx_px"]
-    truth["log"]["channels"].setdefault("cabin_humidity", None)
+    # Of the log, channels alone may be asked for.
+    truth["log"] = {"channels": {"cabin_humidity": None} | truth["log"]["channels"]}
     flown.config = answered(tree, truth)
     # What init leaves out, and says so: lever arms, distortion; the undulation is the geoid's.
     flown.config["mission"] = truth["mission"]

@@ -429,6 +429,11 @@ def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, obeyed
     assert "refraction of the air" in unread  # one mission alone has its summary
     assert [mission["exit_code"] for mission in both] == [3, 0]
     assert both[0]["manifest"] == changed
+    obeyed(
+        "run",
+        done.file,
+        exit_code=3,
+    )
 
 
 @pytest.mark.parametrize(

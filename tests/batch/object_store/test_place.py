@@ -166,7 +166,7 @@ def test_credentials_that_may_not_write_are_refused_before_any_work(
     assert s3_place.objects() == {}
 
 
-def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission):
+def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission, refusal_of):
     use(seaweed | {"AWS_SECRET_ACCESS_KEY": "another"})
     assert refusal(s3_place.read).code == "CLOUD-CREDENTIALS"
     nowhere = f"http://127.0.0.1:{free_port()}"
@@ -177,7 +177,7 @@ def test_credentials_that_are_wrong_or_not_there(s3_place, use, seaweed, mission
     use({})
     assert "there are no credentials for az://" in refusal(Place.of("az://season/a").read).what
     mission.config["output"]["path"] = "az://season/results"
-    mission.refusal("CLOUD-CREDENTIALS", exit_code=5)
+    refusal_of("CLOUD-CREDENTIALS", 5, "run", mission.save())
 
 
 def test_a_store_that_is_not_there(s3_place, use, seaweed):
