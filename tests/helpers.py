@@ -53,6 +53,11 @@ def with_code(messages: Iterable[Message], code: str) -> list[Message]:
     return [message for message in messages if message.code == code]
 
 
+def codes_of_losses(messages: Iterable[Message]) -> list[str]:
+    """The codes of the losses in a ledger, in their order."""
+    return [message.code for message in messages if message.kind == "loss"]
+
+
 def codes_of(manifest: Mapping[str, Any]) -> set[str]:
     """The codes in the ledger of a manifest that was read as JSON."""
     return {entry["code"] for entry in manifest["ledger"]}

@@ -1,11 +1,32 @@
-"""Commands that must end in one way."""
+"""Commands that must end in one way, and the tables of a mission as data frames."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
 
+import pandas as pd
+import pyarrow as pa
 import pytest
+
+from tests.conftest import MissionFolder
+
+
+def measured_rows(mission: MissionFolder) -> pd.DataFrame:
+    return mission.measurements().to_pandas()
+
+
+def result_rows(mission: MissionFolder) -> pd.DataFrame:
+    return mission.results().to_pandas()
+
+
+def station_rows(mission: MissionFolder) -> pd.DataFrame:
+    return mission.stations().to_pandas()
+
+
+def observe(mission: MissionFolder, rows: pd.DataFrame) -> None:
+    """Make a data frame the observations of the mission."""
+    mission.observe(pa.Table.from_pandas(rows, preserve_index=False))
 
 
 @pytest.fixture

@@ -52,8 +52,10 @@ def run_mission(mission, *, progress=None):
             return Outcome(name, output, finished, 3, True)
         with (here / "begun").open("a") as file:
             print(name, os.getpid(), file=file)
-        if name.startswith("deadly") or (name.startswith("unlucky") and not (here / name).exists()):
-            (here / name).touch()
+        mark = here / name
+        has_died = mark.exists()
+        if name.startswith("deadly") or (name.startswith("unlucky") and not has_died):
+            mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)
         if name.startswith("leaving"):
             os._exit(0)
@@ -65,9 +67,14 @@ def run_mission(mission, *, progress=None):
         time.sleep(float((here / "pace").read_text()))
         os.write(1, b"what a library prints\n")
         folder.seal("stations.parquet")
-        outputs = [asdict(output) for output in folder.outputs()]
-        values = {"fingerprint": name, "mission": name, "exit_code": 3, "outputs": outputs}
-        manifest = Manifest(values)
+        manifest = Manifest(
+            {
+                "fingerprint": name,
+                "mission": name,
+                "exit_code": 3,
+                "outputs": [asdict(output) for output in folder.outputs()],
+            }
+        )
         if not name.startswith("elsewhere"):
             folder.commit(manifest)
     return Outcome(name, output, manifest, 3, False)
@@ -96,10 +103,14 @@ def main():
     executor = Processes(int(workers)) if workers.isdecimal() else DaskExecutor(workers)
     missions = [Unread(Path(folder) / f"{name}.yaml") for name in names]
     for mission, end in run_many(run_mission, missions, executor):
-        word = "bug" if isinstance(end, Bug) else getattr(end, "code", None)
         if isinstance(end, Outcome):
-            assert (end.exit_code, end.manifest.run.fingerprint) == (3, end.name)
+            assert end.exit_code == 3
+            assert end.manifest.run.fingerprint == end.name
             word = "repeated" if end.repeated else "done"
+        elif isinstance(end, Bug):
+            word = "bug"
+        else:
+            word = end.code
         print(json.dumps([mission.path.stem, word, str(end)]), flush=True)
 
 

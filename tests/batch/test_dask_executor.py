@@ -70,7 +70,14 @@ class Machines:
 
     def start_worker(self) -> None:
         before = self.registered()
-        self.workers.append(self.start("worker", "--nthreads", "1", "--no-nanny"))
+        self.workers.append(
+            self.start(
+                "worker",
+                "--nthreads",
+                "1",
+                "--no-nanny",
+            )
+        )
         wait_until(lambda: self.registered() > before)  # which takes long on a busy machine
 
     def registered(self) -> int:
@@ -91,7 +98,12 @@ def machines(tmp_path_factory) -> Iterator[Machines]:
     of_tests.stop()
 
 
-def started(machines: Machines, folder: Path, *names: str, pace: float = 0.0) -> subprocess.Popen:
+def started(
+    machines: Machines,
+    folder: Path,
+    *names: str,
+    pace: float = 0.0,
+) -> subprocess.Popen:
     folder.mkdir(exist_ok=True)
     (folder / "pace").write_text(str(pace))
     for name in names:
@@ -106,24 +118,29 @@ def started(machines: Machines, folder: Path, *names: str, pace: float = 0.0) ->
 
 
 def ends_of(process: subprocess.Popen) -> dict[str, str]:
-    """How each mission ended; nothing else may have been said."""
+    """How each mission ended."""
+    return {name: word for name, word, _ in told_by(process)}
+
+
+def told_by(process: subprocess.Popen) -> list[list[str]]:
+    """Name of each mission, how it ended and the text of that; nothing else may have been said."""
     out, err = process.communicate(timeout=LIMIT_S)
-    assert (process.returncode, err) == (0, "")
-    return {name: word for name, word, _ in map(json.loads, out.splitlines())}
+    assert err == ""
+    assert process.returncode == 0
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def beginnings(folder: Path) -> list[list[str]]:
+    """Name and process of each mission that began, in their order."""
+    file = folder / "begun"
+    if not file.exists():
+        return []
+    return [line.split(" ") for line in file.read_text().splitlines()]
 
 
 def begun(folder: Path) -> list[str]:
     """The missions that began, in their order."""
     return [name for name, _ in beginnings(folder)]
-
-
-def beginnings(folder: Path) -> list[tuple[str, int]]:
-    """Each mission that began, and the process it began in."""
-    file = folder / "begun"
-    if not file.exists():
-        return []
-    lines = [line.rsplit(" ", 1) for line in file.read_text().splitlines()]
-    return [(name, int(process)) for name, process in lines]
 
 
 def refusal(scheduler: str, mission: Path = MISSIONS) -> str:
@@ -166,9 +183,8 @@ def test_workers_that_differ_are_refused_before_any_work(machines, tmp_path, mon
     assert text.startswith("WORKER-FILES: this worker does not find 1 mission file")
     assert "nowhere.yaml" in text
     versions = dask_executor.versions_here()
-    monkeypatch.setattr(
-        dask_executor, "versions_here", lambda: versions | {"numpy": "1.0", "more": "2"}
-    )
+    changed = versions | {"numpy": "1.0", "more": "2"}
+    monkeypatch.setattr(dask_executor, "versions_here", lambda: changed)
     text = refusal(file)
     assert text.startswith("WORKER-VERSION: ")
     assert f"more missing (here 2), numpy {versions['numpy']} (here 1.0)" in text
@@ -181,12 +197,15 @@ def test_workers_that_are_killed_cost_no_mission(machines, tmp_path, run):
     draw = random.Random(SEED + run)
     machines.need_workers(2)
     names = ["deadly", "unlucky", "refused", *(f"m{i}" for i in range(12))]
-    process = started(machines, tmp_path / "killed", *names, pace=0.2)
-    for _ in range(6 if RUNS > 1 else 2):
-        count = len(begun(tmp_path / "killed"))
-        wait_until(
-            lambda n=count: len(begun(tmp_path / "killed")) > n or process.poll() is not None
-        )
+    process = started(machines, tmp_path, *names, pace=0.2)
+    kills = 6 if RUNS > 1 else 2
+    for _ in range(kills):
+        before = len(begun(tmp_path))
+
+        def another_began(before: int = before) -> bool:
+            return len(begun(tmp_path)) > before or process.poll() is not None
+
+        wait_until(another_began)
         time.sleep(draw.uniform(0.0, 0.3))
         alive = [worker for worker in machines.workers if worker.poll() is None]
         machines.start_worker()
@@ -197,7 +216,7 @@ def test_workers_that_are_killed_cost_no_mission(machines, tmp_path, run):
     assert ends.pop("refused") == "OBS-EMPTY"
     assert set(ends.values()) <= {"done", "repeated"}
     for name in ends:
-        results = tmp_path / "killed" / f"results of {name}"
+        results = tmp_path / f"results of {name}"
         files = {path.name for path in results.iterdir()}
         assert files == {".lock", "stations.parquet", "manifest.json"}
         assert (results / "stations.parquet").read_bytes() == name.encode() * 1000
@@ -206,34 +225,37 @@ def test_workers_that_are_killed_cost_no_mission(machines, tmp_path, run):
 def test_a_scheduler_that_is_killed_costs_no_finished_mission(machines, tmp_path):
     names = [f"m{i}" for i in range(6)]
     machines.need_workers(1)
-    process = started(machines, tmp_path / "lost", *names, pace=0.3)
-    wait_until(lambda: len(begun(tmp_path / "lost")) >= 4)
+    process = started(machines, tmp_path, *names, pace=0.3)
+    wait_until(lambda: len(begun(tmp_path)) >= 4)
     machines.stop()
     out, err = process.communicate(timeout=LIMIT_S)
     assert "SCHEDULER-LOST" in err
-    finished = [json.loads(line)[0] for line in out.splitlines()]
+    finished = {json.loads(line)[0] for line in out.splitlines()}
     assert finished
-    before = begun(tmp_path / "lost")
+    before = begun(tmp_path)
     machines.start_scheduler()
     machines.need_workers(1)
-    ends = ends_of(started(machines, tmp_path / "lost", *names))
-    assert {name for name, word in ends.items() if word == "repeated"} >= set(finished)
-    again = begun(tmp_path / "lost")[len(before) :]
-    assert not set(again) & set(finished)
+
+    ends = ends_of(started(machines, tmp_path, *names))
+
+    assert {name for name, word in ends.items() if word == "repeated"} >= finished
+    again = begun(tmp_path)[len(before) :]
+    assert finished.isdisjoint(again)
 
 
 def test_a_signal_stops_what_the_workers_do(machines, tmp_path):
     machines.need_workers(1)
-    process = started(machines, tmp_path / "stopped", "a", "b", pace=600.0)
-    wait_until(lambda: begun(tmp_path / "stopped"))
-    began = time.monotonic()
+    process = started(machines, tmp_path, "a", "b", pace=600.0)
+    wait_until(lambda: begun(tmp_path))
+    began_s = time.monotonic()
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=LIMIT_S)
     assert process.returncode == 143
-    assert time.monotonic() - began < 5.0
-    workers = [process for _, process in beginnings(tmp_path / "stopped")]
-    wait_until(lambda: all(map(missions_module.gone, workers)), 5.0)
-    assert begun(tmp_path / "stopped") == ["a"]
+    assert time.monotonic() - began_s < 5.0
+    ((mission, worker),) = beginnings(tmp_path)
+    assert mission == "a"
+    wait_until(lambda: missions_module.gone(int(worker)), 5.0)
+    assert begun(tmp_path) == ["a"]
 
 
 def test_a_worker_that_is_stopped_costs_no_mission(machines, tmp_path, monkeypatch):
@@ -241,13 +263,12 @@ def test_a_worker_that_is_stopped_costs_no_mission(machines, tmp_path, monkeypat
     machines.stop()
     machines.start_scheduler()
     machines.need_workers(2)
-    folder = tmp_path / "frozen"
     names = [f"m{i}" for i in range(4)]
-    process = started(machines, folder, *names, "--impatient", pace=1.0)
-    wait_until(lambda: len(begun(folder)) >= 2)
+    process = started(machines, tmp_path, *names, "--impatient", pace=1.0)
+    wait_until(lambda: len(begun(tmp_path)) >= 2)
     frozen = machines.workers[0]
     frozen.send_signal(signal.SIGSTOP)
-    (folder / "frozen").touch()
+    (tmp_path / "frozen").touch()
     try:
         ends = ends_of(process)
         monkeypatch.setattr(dask_executor, "_CHECK_S", 3.0)
@@ -263,16 +284,15 @@ def test_the_only_worker_that_is_stopped_is_named(machines, tmp_path):
     machines.stop()
     machines.start_scheduler()
     machines.need_workers(1)
-    folder = tmp_path / "alone"
-    process = started(machines, folder, "m0", "m1", "--impatient", pace=600.0)
-    wait_until(lambda: begun(folder))
+    process = started(machines, tmp_path, "m0", "m1", "--impatient", pace=600.0)
+    wait_until(lambda: begun(tmp_path))
     machines.workers[0].send_signal(signal.SIGSTOP)
-    (folder / "frozen").touch()
+    (tmp_path / "frozen").touch()
     try:
-        out, err = process.communicate(timeout=LIMIT_S)
+        ends = told_by(process)
     finally:
         machines.stop()
-    ends = [json.loads(line) for line in out.splitlines()]
-    assert (process.returncode, err) == (0, "")
-    assert {name: word for name, word, _ in ends} == {"m0": "WORKER-LOST", "m1": "WORKER-LOST"}
-    assert any("tcp://127.0.0.1" in text and "has not answered" in text for _, _, text in ends)
+    names, words, texts = zip(*ends, strict=True)
+    assert set(names) == {"m0", "m1"}
+    assert set(words) == {"WORKER-LOST"}
+    assert any("tcp://127.0.0.1" in text and "has not answered" in text for text in texts)

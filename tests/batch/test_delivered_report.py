@@ -119,21 +119,20 @@ def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path
 def test_no_browser_is_said_with_what_to_do(refusal_of, baseline, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(delivered_report, "_OF_OTHER_SYSTEMS", ())
-    text = refusal_of(
-        "REPORT-BROWSER", 2, "report", baseline.output, "--pdf", "--out", tmp_path / "r.pdf"
-    )
+    out = tmp_path / "r.pdf"
+    text = refusal_of("REPORT-BROWSER", 2, "report", baseline.output, "--pdf", "--out", out)
     for words in ("chromium", "--browser", "report.html"):
         assert words in text
     with refused("REPORT-BROWSER") as refusal:
         find_browser("nonesuch")
-    assert "no program 'nonesuch'" in str(refusal.value)
+    refusal.match("no program 'nonesuch'")
 
 
 def test_what_a_browser_started_is_ended_with_it(tmp_path):
     script = f"sleep 600 & echo $! > {tmp_path}/child; sleep 600"
     with refused("REPORT-BROWSER") as refusal:
         run_within([browser(tmp_path, script)], 1.0)
-    assert "did not end" in str(refusal.value)
+    refusal.match("did not end")
     child = int((tmp_path / "child").read_text())
     for _ in range(50):
         try:
@@ -150,9 +149,10 @@ def test_what_a_browser_started_is_ended_with_it(tmp_path):
 def test_an_older_browser_prints_heads_of_its_own(tmp_path, monkeypatch, version, own_heads):
     monkeypatch.setenv("VERSION", version)
     program = browser(tmp_path, PRINTS)
-    command = print_command(program, tmp_path / "a.html", tmp_path / "a.pdf", tmp_path / "p")
+    page = tmp_path / "a.html"
+    command = print_command(program, page, tmp_path / "a.pdf", tmp_path / "p")
     assert ("--no-pdf-header-footer" in command) == own_heads
-    assert command[-1] == (tmp_path / "a.html").as_uri()
+    assert command[-1] == page.as_uri()
 
 
 def test_a_report_of_an_older_version_is_delivered_without_a_date(

@@ -72,17 +72,19 @@ def test_a_manifest_without_its_inputs_is_no_bug(done):
 
 
 def test_inputs_that_come_and_go_are_named():
-    now = [
-        SimpleNamespace(role="log", sha256="1", name="a.bin"),
-        SimpleNamespace(role="observations", sha256="2", name="o.csv"),
-        SimpleNamespace(role="geoid", sha256="3", name="g.tif"),
-    ]
+    plan = SimpleNamespace(
+        inputs=[
+            SimpleNamespace(role="log", sha256="1", name="a.bin"),
+            SimpleNamespace(role="observations", sha256="2", name="o.csv"),
+            SimpleNamespace(role="geoid", sha256="3", name="g.tif"),
+        ]
+    )
     before = [
         SimpleNamespace(role="log", sha256="0"),
         SimpleNamespace(role="observations", sha256="2"),
         SimpleNamespace(role="sounding 1", sha256="4"),
     ]
-    assert list(changed_inputs(SimpleNamespace(inputs=now), before)) == [
+    assert list(changed_inputs(plan, before)) == [
         "sounding 1 is no longer read",
         "log changed (a.bin)",
         "geoid is new (g.tif)",

@@ -15,18 +15,20 @@ from unbend.errors import InputError
 
 
 def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):
-    missions = [mission_factory(tmp_path / name) for name in "abcd"]
-    missions[0].output.mkdir()
-    (tmp_path / "link").symlink_to(missions[0].output)
+    first, linked, up_and_down, other = (mission_factory(tmp_path / name) for name in "abcd")
+    first.output.mkdir()
+    (tmp_path / "link").symlink_to(first.output)
     (tmp_path / "up").symlink_to(tmp_path)
-    missions[1].config["output"]["path"] = "../link"
-    missions[2].config["output"]["path"] = "../up/d/../a/results"
-    files = [mission.save() for mission in missions]
+    linked.config["output"]["path"] = "../link"
+    up_and_down.config["output"]["path"] = "../up/d/../a/results"
+    files = [mission.save() for mission in (first, linked, up_and_down, other)]
+
     refusals = select_missions(files).refused
-    assert [ref.path for ref in refusals] == files[1:3]
+
+    assert [ref.path for ref in refusals] == [linked.file, up_and_down.file]
     for error in refusals.values():
         assert error.code == "OUTPUT-SHARED"
-        assert str(files[0]) in str(error)
+        assert str(first.file) in str(error)
 
 
 def test_a_broken_mission_file_shares_nothing(mission_factory, tmp_path):
@@ -55,20 +57,32 @@ def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
     def bar(name: str):
         yield f"bar of {name}"
 
-    names = ["buggy", "refused", "b", "a"]
-    missions = missions_named(*names)
+    missions = missions_named("buggy", "refused", "b", "a")
+
     ends = dict(run_many(run_mission, missions, Inline(bar)))
-    assert begun == [(name, f"bar of {name}") for name in names]
+
+    assert begun == [
+        ("buggy", "bar of buggy"),
+        ("refused", "bar of refused"),
+        ("b", "bar of b"),
+        ("a", "bar of a"),
+    ]
     assert list(ends) == missions
-    bug, refusal, *done = ends.values()
+    bug, refusal, b, a = ends.values()
     assert isinstance(bug, Bug)
     assert "KeyError" in bug.traceback
     assert isinstance(refusal, InputError)
-    assert [outcome.name for outcome in done] == ["b", "a"]
+    assert b.name == "b"
+    assert a.name == "a"
 
 
 @pytest.mark.parametrize(
-    ("count", "expected"), [(1, ["abcdefg"]), (3, ["adg", "be", "cf"]), (9, [*"abcdefg", "", ""])]
+    ("count", "expected"),
+    [
+        (1, ["abcdefg"]),
+        (3, ["adg", "be", "cf"]),
+        (9, [*"abcdefg", "", ""]),
+    ],
 )
 def test_shards_are_all_missions_once(count, expected):
     shards = ["abcdefg"[shard_of(f"{number}/{count}")] for number in range(count)]
@@ -82,8 +96,16 @@ def test_what_is_no_shard_is_refused(refusal_of, tmp_path, shard):
 
 
 def test_a_shard_may_be_empty(unbend, tmp_path):
-    ended = unbend("run", tmp_path / "none.yaml", "--shard", "1/2", "--json")
-    assert (ended.code, ended.out, ended.err) == (0, "[]\n", "")
+    ended = unbend(
+        "run",
+        tmp_path / "none.yaml",
+        "--shard",
+        "1/2",
+        "--json",
+    )
+    assert ended.code == 0
+    assert ended.out == "[]\n"
+    assert ended.err == ""
 
 
 def test_a_scheduler_and_processes_do_not_go_together(refusal_of, tmp_path):
@@ -108,16 +130,22 @@ def test_interrupts_of_the_user_pass_through():
 
 
 @pytest.mark.parametrize(
-    ("code", "several"),
+    ("codes", "expected"),
     [
-        (0, [[0], [0, 0]]),
-        (1, [[1], [6, 1], [1, 0]]),
-        (2, [[2]]),
-        (3, [[3], [0, 3], [3, 0]]),
-        (5, [[5]]),
-        (6, [[0, 2], [3, 4], [5, 0]]),
+        ([0], 0),
+        ([0, 0], 0),
+        ([1], 1),
+        ([6, 1], 1),
+        ([1, 0], 1),
+        ([2], 2),
+        ([3], 3),
+        ([0, 3], 3),
+        ([3, 0], 3),
+        ([5], 5),
+        ([0, 2], 6),
+        ([3, 4], 6),
+        ([5, 0], 6),
     ],
 )
-def test_the_exit_code_of_several(code, several):
-    for codes in several:
-        assert exit_code_of_command(codes) == code, codes
+def test_the_exit_code_of_several(codes, expected):
+    assert exit_code_of_command(codes) == expected

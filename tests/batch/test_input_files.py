@@ -31,10 +31,14 @@ def reads(monkeypatch) -> list[Path]:
 
 def settle(mission) -> None:
     """Let the inputs be written a minute ago, for a clock that runs a minute ahead."""
-    past = time.time() - 60
     for path in mission.folder.iterdir():
         if path.is_file():
-            os.utime(path, (past, past))
+            date(path)
+
+
+def date(path: Path) -> None:
+    past_s = time.time() - 60
+    os.utime(path, (past_s, past_s))
 
 
 @pytest.fixture
@@ -103,8 +107,7 @@ def test_what_was_just_written_is_read_once_more(mission, plain_report, reads):
 def test_missions_of_one_process_read_a_shared_file_once(mission_factory, tmp_path, later, reads):
     shared = tmp_path / "points.csv"
     shared.write_text("point,lat,lon,h\n")
-    past = time.time() - 60
-    os.utime(shared, (past, past))
+    date(shared)
     for name in "ab":
         mission = mission_factory(tmp_path / name)
         mission.config["control"] = {"path": str(shared)}

@@ -27,8 +27,13 @@ def plan(mission):
 @pytest.fixture
 def copied(tmp_path) -> Path:
     """The package's sources and data in a folder of the test's own."""
-    ignore = shutil.ignore_patterns("__pycache__")
-    return Path(shutil.copytree(PACKAGE, tmp_path / "unbend", ignore=ignore))
+    folder = tmp_path / "unbend"
+    shutil.copytree(
+        PACKAGE,
+        folder,
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
+    return folder
 
 
 def test_the_code_and_every_table_of_the_package_count(copied):
@@ -60,9 +65,8 @@ def test_a_file_that_is_written_to_is_changed_even_if_its_content_is_there_again
     status = mission.log.stat()
     mission.log.write_bytes(content[:-9])
     mission.log.write_bytes(content)
-    os.utime(
-        mission.log, ns=(status.st_atime_ns, status.st_mtime_ns)
-    )  # as programs that copy files do
+    # As programs that copy files do.
+    os.utime(mission.log, ns=(status.st_atime_ns, status.st_mtime_ns))
     with refused("INPUT-CHANGED"):
         check_unchanged(plan.inputs)
 
@@ -104,10 +108,9 @@ def test_files_beside_a_raster_count_with_it(mission):
     """A raster alone has the hash of its bytes."""
     mission.config["ground"]["height"] = {"dem": "dem.tif"}
     mission.config["mission"]["geoid"] = "sea.tif"
-    mission.save()
 
     def plan_now():
-        return make_plan(load_mission(mission.file), mission.folder)
+        return make_plan(load_mission(mission.save()), mission.folder)
 
     for name in ("dem.tif", "sea.tif", *OF_OTHERS):
         (mission.folder / name).write_bytes(b"raster")

@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from tests.helpers import codes_of, refused
+from tests.helpers import codes_of, entry_of, refused
 from unbend.batch.rehearsal import rehearsal_lines
 from unbend.batch.runs import check_mission, run_mission
 from unbend.errors import UnbendError
@@ -19,20 +19,22 @@ from unbend.messages import Ledger
 from unbend.tables.observations import open_observations
 from unbend.tables.row_sample import RowSample
 
+from .conftest import measured_rows, observe, result_rows, station_rows
+
 pytestmark = pytest.mark.usefixtures("plain_report")
 
-COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
+COLUMNS = {
+    "image": "image",
+    "point": "point",
+    "x_px": "x_px",
+    "y_px": "y_px",
+}
 
 
-def rows(change):
-    """A change of the table of observations."""
-
-    def spoil(mission):
-        table = mission.measurements().to_pandas()
-        change(table)
-        mission.observe(pa.Table.from_pandas(table, preserve_index=False))
-
-    return spoil
+def renamed_column(mission):
+    table = measured_rows(mission)
+    table.insert(0, "h_g_m_input", 1.0)
+    observe(mission, table)
 
 
 def config(**changes):
@@ -50,16 +52,19 @@ def config(**changes):
 
 
 def cut_log(mission):
-    mission.log.write_bytes(mission.log.read_bytes()[:-20_000])
+    content = mission.log.read_bytes()
+    mission.log.write_bytes(content[:-20_000])
 
 
 def set_rows(column, value, count):
-    """A value in the first rows of a column."""
+    """A value in the first rows of a column of the observations."""
 
-    def change(table):
+    def spoil(mission):
+        table = measured_rows(mission)
         table.loc[: count - 1, column] = value
+        observe(mission, table)
 
-    return rows(change)
+    return spoil
 
 
 def output_below_a_file(mission):
@@ -77,15 +82,19 @@ def link_in_the_place_of_a_result(mission):
     (mission.output / "manifest.json").symlink_to(mission.file)
 
 
+def nothing(mission):
+    pass
+
+
 BAD = {
-    "as simulated": lambda mission: None,
+    "as simulated": nothing,
     "unknown image": set_rows("image", "unknown.tif", 1),
     "no number": set_rows("x_px", np.nan, 5),
     "outside the image": set_rows("x_px", 20_000.0, 20),
     "no heights": set_rows("h_g_m", np.nan, 7),
     "heights of no ground": set_rows("h_g_m", 30_000.0, 7),
     "ground above the camera": config(ground__height=9000.0),
-    "renamed column": rows(lambda table: table.insert(0, "h_g_m_input", 1.0)),
+    "renamed column": renamed_column,
     "horizontal camera": config(mount__nadir__pitch_deg=-90.0),
     "missing channel": config(log__channels__humidity="HYGR[9]"),
     "missing log": config(log__path="none.bin"),
@@ -98,7 +107,8 @@ BAD = {
     "report of the user": report_of_the_user,
     "link in the place of a result": link_in_the_place_of_a_result,
     "barometers exchanged": config(
-        log__channels__pressure="BARO[1]", log__channels__cabin_pressure="BARO[0]"
+        log__channels__pressure="BARO[1]",
+        log__channels__cabin_pressure="BARO[0]",
     ),
 }
 
@@ -140,30 +150,35 @@ def test_check_says_what_run_says(mission, change):
 
 def many_rows(mission) -> None:
     """Every observation 250 times, of each second image ten times as often; a tenth no number."""
-    table = mission.measurements().to_pandas()
+    table = measured_rows(mission)
     is_second = table["image"].rank(method="dense") % 2 == 0
-    table = table.loc[table.index.repeat(250 * np.where(is_second, 10, 1))]
-    is_no_number = np.random.default_rng(4).random(len(table)) < 0.1
-    table["x_px"] = table["x_px"].mask(is_no_number)
-    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
+    copies = np.where(is_second, 2500, 250)
+    table = table.loc[table.index.repeat(copies)]
+    draws = np.random.default_rng(4).random(len(table))
+    table["x_px"] = table["x_px"].mask(draws < 0.1)
+    observe(mission, table)
 
 
 def test_a_large_table_is_sampled_and_its_counts_are_those_of_a_run(mission):
     many_rows(mission)
     rehearsal = check_mission(mission.save())
-    checked = rehearsal.manifest.values
     ran = run_mission(mission.file).manifest.values
+
+    checked = rehearsal.manifest.values
+    corrected = rehearsal.corrected
     rows = ran["observations"]["rows"]
     assert rows > 70_000
-    assert rehearsal.corrected.statistics.rows == rows
-    sample = rehearsal.corrected.prepared.observations.sample
-    assert sum(len(part.status) for part in rehearsal.corrected.statistics.sampled) <= 20_000
+    assert corrected.statistics.rows == rows
+    sampled = sum(len(part.status) for part in corrected.statistics.sampled)
+    assert sampled <= 20_000
+    estimates = checked["observations"]["status"]
     for status, count in ran["observations"]["status"].items():
-        estimate = checked["observations"]["status"][status]
-        assert estimate == pytest.approx(count, abs=0.015 * rows), status
+        assert estimates[status] == pytest.approx(count, abs=0.015 * rows), status
     assert codes_of(checked) == codes_of(ran)
-    rows_of_image = np.unique(rehearsal.corrected.facts.rows.station, return_counts=True)[1]
-    assert sorted(rows_of_image) == sorted(np.minimum(sample.counts, rows_of_image.max()))
+    sample = corrected.prepared.observations.sample
+    _, drawn = np.unique(corrected.facts.rows.station, return_counts=True)
+    expected = np.minimum(sample.counts, drawn.max())
+    assert sorted(drawn) == sorted(expected)
     for name, camera in checked["correction"]["cameras"].items():
         shift_px = ran["correction"]["cameras"][name]["shift_px"]["median"]
         assert camera["shift_px"]["median"] == pytest.approx(shift_px, rel=0.03)
@@ -189,41 +204,60 @@ def test_rows_are_drawn_evenly_from_every_image(most, most_of_image, order):
         images = np.random.default_rng(1).permutation(images)
     sample = row_sample(most, *np.array_split(images, 7))
     assert np.all(np.diff(sample.number) > 0)
-    drawn = np.unique(images[sample.number], return_counts=True)[1]
+    _, drawn = np.unique(images[sample.number], return_counts=True)
     assert drawn.tolist() == np.minimum(ROWS_OF_IMAGES, most_of_image).tolist()
     assert sample.weights.sum() == pytest.approx(ROWS_OF_IMAGES.sum())
 
 
 def test_of_more_images_than_rows_some_have_one():
     sample = row_sample(4, *np.array_split(IMAGE_OF_ROW, 7))
-    assert np.unique(IMAGE_OF_ROW[sample.number]).size == sample.number.size == 4
+    assert len(sample.number) == 4
+    assert len(set(IMAGE_OF_ROW[sample.number])) == 4
     assert sample.weights.sum() == pytest.approx(ROWS_OF_IMAGES.sum())
 
 
 def test_of_consecutive_rows_of_one_image_each_third_has_its_share():
     sample = row_sample(1000, IMAGE_OF_ROW)
     drawn = sample.number[IMAGE_OF_ROW[sample.number] == "d"]
-    thirds = np.histogram(drawn - ROWS_OF_IMAGES[:3].sum(), [0, 1333, 2666, 4000])[0]
-    assert thirds.max() - thirds.min() <= 0.05 * drawn.size + 2
+    first = ROWS_OF_IMAGES[:3].sum()
+    thirds, _ = np.histogram(drawn - first, [0, 1333, 2666, 4000])
+    assert np.ptp(thirds) <= 0.05 * drawn.size + 2
 
 
 def test_few_rows_are_drawn_whole_whatever_parts_they_come_in():
-    sample = row_sample(100, "a", "a" * 9, "b" * 30)
+    sample = row_sample(
+        100,
+        "a",
+        "a" * 9,
+        "b" * 30,
+    )
     assert sample.number.tolist() == list(range(40))
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_sampled_rows_are_those_of_the_table(tmp_path, kind):
-    table = pd.DataFrame({"image": np.repeat(["a", "b", "c"], [500, 20, 3000]), "point": "p"})
-    table["x_px"] = np.arange(3520.0)
-    table["y_px"] = -np.arange(3520.0)
-    table["note"] = "own"
+    number = np.arange(3520.0)
+    table = pd.DataFrame(
+        {
+            "x_px": number,
+            "y_px": -number,
+            "point": "p",
+            "note": "own",
+        }
+    )
+    table["image"] = np.repeat(["a", "b", "c"], [500, 20, 3000])
     path = tmp_path / f"o.{kind}"
     if kind == "csv":
         table.to_csv(path, index=False)
     else:
         table.to_parquet(path, index=False, row_group_size=700)
-    batch = open_observations(path, COLUMNS, None, Ledger(), most_rows=90).sampled()
+    batch = open_observations(
+        path,
+        COLUMNS,
+        None,
+        Ledger(),
+        most_rows=90,
+    ).sampled()
     rows = batch.x_px.astype(int)
     assert len(batch) == 90
     assert batch.image.to_pylist() == table["image"][rows].tolist()
@@ -266,31 +300,46 @@ def span(values: pd.Series, digits: int) -> str:
 def test_the_lines_have_the_numbers_of_the_run(mission):
     lines = dict(rehearsal_lines(check_mission(mission.save())))
     run_mission(mission.file)
-    stations = mission.stations().to_pandas()
-    rows = mission.results().to_pandas().merge(stations, on="image", suffixes=("", "_of_station"))
+    stations = station_rows(mission)
+    rows = (
+        mission.results()
+        .to_pandas()
+        .merge(
+            stations,
+            on="image",
+            suffixes=("", "_of_station"),
+        )
+    )
     above_m = rows["h_msl_m"] - rows["h_g_m"]
     ground = f"ground {span(rows['h_g_m'], 4)} m, take-off 450 m"
     cameras = f"cameras {span(stations['h_msl_m'], 5)} m; above ground {span(above_m, 4)} m"
     assert lines["heights"] == f"{ground}, {cameras}"
-    shift_x = rows["x_corrected_px"] - rows["x_px"]
-    shift_y = rows["y_corrected_px"] - rows["y_px"]
-    shifts = []
-    angles = []
-    for camera in ("nadir", "oblique"):
-        is_of_camera = rows["camera"] == camera
-        shifts.append(f"{camera} {span(np.hypot(shift_x, shift_y)[is_of_camera], 3)}")
-        angles.append(f"{camera} {span(np.degrees(rows['zeta_c_rad'])[is_of_camera], 2)}")
-    assert lines["shift"].startswith(f"{', '.join(shifts)} px; ")
-    assert lines["nadir angles"] == f"{', '.join(angles)} deg"
+    rows["shift_px"] = shift_of(rows)
+    rows["angle_deg"] = np.degrees(rows["zeta_c_rad"])
+    nadir = rows[rows["camera"] == "nadir"]
+    oblique = rows[rows["camera"] == "oblique"]
+    shifts = f"nadir {span(nadir['shift_px'], 3)}, oblique {span(oblique['shift_px'], 3)}"
+    angles = f"nadir {span(nadir['angle_deg'], 2)}, oblique {span(oblique['angle_deg'], 2)}"
+    assert lines["shift"].startswith(f"{shifts} px; ")
+    assert lines["nadir angles"] == f"{angles} deg"
     view = re.match(r"nadir 39 x 30 deg, (\S+) m a pixel, (\d+) x (\d+) m", lines["cameras"])
     pixel_m, width_m, height_m = map(float, view.groups())
-    assert pixel_m == pytest.approx(above_m[rows["camera"] == "nadir"].median() / 20_000, rel=0.05)
+    expected_m = above_m[nadir.index].median() / 20_000
+    assert pixel_m == pytest.approx(expected_m, rel=0.05)
     assert width_m == pytest.approx(14_000 * pixel_m, rel=0.05)
     assert height_m == pytest.approx(10_600 * pixel_m, rel=0.05)
     vertical = re.match(r"deflected by (\S+) arcsec \(EGM96\), (\S+) m", lines["vertical"])
     deflection_arcsec, metres = map(float, vertical.groups())
     assert deflection_arcsec == pytest.approx(3.97, abs=0.2)  # by PROJ, as in the report's tests
-    assert metres == pytest.approx(deflection_arcsec / 206_265 * above_m.median(), abs=0.006)
+    expected_m = deflection_arcsec / 206_265 * above_m.median()
+    assert metres == pytest.approx(expected_m, abs=0.006)
+
+
+def shift_of(rows: pd.DataFrame) -> pd.Series:
+    """How far corrected points are from the measured ones [px]."""
+    shift_x = rows["x_corrected_px"] - rows["x_px"]
+    shift_y = rows["y_corrected_px"] - rows["y_px"]
+    return np.hypot(shift_x, shift_y)
 
 
 def medians(lines: dict[str, str], label: str) -> dict[str, float]:
@@ -306,11 +355,12 @@ def test_what_ten_metres_do_is_what_they_do(mission):
     """The ground 10 m higher in the mission file moves the corrections by what check says."""
     lines = dict(rehearsal_lines(check_mission(mission.save())))
     run_mission(mission.file)
-    before = mission.results().to_pandas()
-    table = mission.measurements().to_pandas()
-    mission.observe(pa.Table.from_pandas(table.assign(h_g_m=table["h_g_m"] + 10.0)))
+    before = result_rows(mission)
+    table = measured_rows(mission)
+    observe(mission, table.assign(h_g_m=table["h_g_m"] + 10.0))
     run_mission(mission.save())
-    after = mission.results().to_pandas()
+    after = result_rows(mission)
+
     moved_x = after["x_corrected_px"] - before["x_corrected_px"]
     moved_y = after["y_corrected_px"] - before["y_corrected_px"]
     moved = np.hypot(moved_x, moved_y)
@@ -319,9 +369,8 @@ def test_what_ten_metres_do_is_what_they_do(mission):
     for camera, median in by_ground.items():
         is_of_camera = before["image"].str.startswith(camera)
         assert median == pytest.approx(moved[is_of_camera].median(), rel=0.06)
-    shift_x = before["x_corrected_px"] - before["x_px"]
-    shift_y = before["y_corrected_px"] - before["y_px"]
-    shift = np.hypot(shift_x, shift_y)[before["image"].str.startswith("oblique")]
+    is_oblique = before["image"].str.startswith("oblique")
+    shift = shift_of(before[is_oblique])
     share = medians(lines, "5 K")["oblique"] / shift.median()
     # R goes with p/T^2: 5 K of 280 K are -3.5 %, less what the pressure aloft gains.
     assert 0.02 < share < 0.045
@@ -337,14 +386,15 @@ def test_the_folder_of_another_mission_is_refused(mission):
     for act in (check_mission, run_mission, partial(run_mission, force=True)):
         with refused("OUTPUT-OTHER") as refusal:
             act(mission.file)
-        assert re.search("simulated_bin.*another", str(refusal.value))
+        refusal.match("simulated_bin.*another")
 
 
 def test_a_folder_without_permission(mission, monkeypatch):
+    # Tests may run as root, who may write into every folder.
     monkeypatch.setattr("os.access", lambda path, mode: False)
     with refused("STORAGE-WRITE") as refusal:
         check_mission(mission.save())
-    assert "Permission denied" in str(refusal.value)
+    refusal.match("Permission denied")
 
 
 # ---- accepted findings
@@ -355,11 +405,12 @@ def test_an_accepted_finding_stays_and_raises_nothing(mission):
     ledger = check_mission(mission.save()).manifest.values["ledger"]
     findings = {entry["code"] for entry in ledger if entry["kind"] == "finding"}
     assert "PLAUSIBLE-LEVER-ARM" in findings
-    mission.config["accept"] = [{"code": code, "reason": "a boom"} for code in sorted(findings)]
+    accepted = [{"code": code, "reason": "a boom"} for code in sorted(findings)]
+    mission.config["accept"] = accepted
     manifest = mission.run_to_manifest()
-    entries = {entry["code"]: entry for entry in manifest["ledger"]}
-    assert entries["PLAUSIBLE-LEVER-ARM"]["kind"] == "warning"
-    assert entries["PLAUSIBLE-LEVER-ARM"]["what"].endswith("(accepted: a boom)")
+    entry = entry_of(manifest, "PLAUSIBLE-LEVER-ARM")
+    assert entry["kind"] == "warning"
+    assert entry["what"].endswith("(accepted: a boom)")
     assert manifest["config"]["accept"]
 
 

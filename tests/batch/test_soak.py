@@ -39,7 +39,7 @@ def temporary_files() -> set[str]:
     return set(os.listdir(tempfile.gettempdir()))
 
 
-def test_many_missions_leave_nothing_behind(mission, tmp_path, monkeypatch, capsys):
+def test_many_missions_leave_nothing_behind(mission, tmp_path, monkeypatch):
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(scratch))
@@ -50,8 +50,6 @@ def test_many_missions_leave_nothing_behind(mission, tmp_path, monkeypatch, caps
     for _ in range(MISSIONS):
         assert mission.run("--force").code == 0
     growth = resident_bytes() - bytes_before
-    with capsys.disabled():
-        print(f"\n{MISSIONS} missions: resident memory grew by {growth / 1e6:.1f} MB")
     assert open_files() == files_before
     assert temporary_files() == set()
     assert growth < GROWTH_OF_ALLOCATOR + MISSIONS * GROWTH_OF_MISSION

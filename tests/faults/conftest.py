@@ -1,38 +1,21 @@
-"""The mutator, and how many mutations: UNBEND_MUTATIONS (500) from UNBEND_SEED."""
+"""How many mutations: UNBEND_MUTATIONS (500) from UNBEND_SEED; and what is done with them."""
 
 from __future__ import annotations
 
 import csv
 import os
 import random
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
+from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 from tests.draws import SEED
+from tests.faults.mutate import Recipe, Trial, recipes
 
-HERE = Path(__file__).resolve().parent
-
-
-def _mutate() -> ModuleType:
-    name = "unbend_tests_mutate"
-    if name not in sys.modules:
-        spec = spec_from_file_location(name, HERE / "mutate.py")
-        if spec is None or spec.loader is None:
-            raise ImportError("tests/faults/mutate.py")
-        module = module_from_spec(spec)
-        sys.modules[name] = module  # dataclasses look their module up
-        spec.loader.exec_module(module)
-    return sys.modules[name]
-
-
-@pytest.fixture(scope="session")
-def mutate() -> ModuleType:
-    """The module tests/faults/mutate.py."""
-    return _mutate()
+CORPUS = Path(__file__).with_name("corpus")
+"""Failures found once: FORMAT.csv has a name that says what it was, file, kind and seed."""
 
 
 @pytest.fixture(scope="session")
@@ -45,24 +28,67 @@ def mutation_seed() -> int:
     return SEED * 1_000_000  # mutations have consecutive seeds: those of two days are others
 
 
-@pytest.fixture(scope="session")
-def cuts(mutation_count: int, mutation_seed: int) -> list[int]:
-    """How many bytes are cut from either end: 1 to 1,000 in `make faults`, else 150 of these."""
-    every = range(1, 1001)
-    return [*every] if mutation_count > 2000 else random.Random(mutation_seed).sample(every, 150)
+@pytest.fixture
+def run_mutations(
+    mutation_count: int,
+    mutation_seed: int,
+    record_property: Callable[[str, object], None],
+) -> Callable[[Trial], None]:
+    """Reads them all, none of which may fail."""
+
+    def run(trial: Trial) -> None:
+        for recipe in recipes(len(trial.logs), mutation_count, mutation_seed):
+            trial.run(recipe)
+        record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
+        assert not trial.failures, trial.summary()
+
+    return run
 
 
-@pytest.fixture(scope="session")
-def corpus() -> dict[str, list[tuple[str, tuple[int, int, int]]]]:
-    """Failures found once, by format: a name that says what it was, and its recipe.
+@pytest.fixture
+def run_cuts(mutation_count: int, mutation_seed: int) -> Callable[[Trial], Counter[str]]:
+    """Cuts bytes from either end of the first log: 1 to 1,000 in `make faults`, else 150 of these.
 
-    tests/faults/corpus/FORMAT.csv has the columns name, file, kind, seed.
+    How often it ended how; it may not fail.
     """
-    found = {}
-    for path in sorted((HERE / "corpus").glob("*.csv")):
-        with path.open(encoding="utf-8", newline="") as stream:
-            found[path.stem] = [
-                (row["name"], (int(row["file"]), int(row["kind"]), int(row["seed"])))
-                for row in csv.DictReader(stream)
-            ]
-    return found
+    cuts = range(1, 1001)
+    if mutation_count <= 2000:
+        cuts = random.Random(mutation_seed).sample(cuts, 150)
+
+    def run(trial: Trial) -> Counter[str]:
+        before = trial.ends.copy()
+        data = trial.logs[0]
+        for count in cuts:
+            trial.examine(0, data[count:], f"first {count} bytes cut")
+            trial.examine(0, data[:-count], f"last {count} bytes cut")
+        assert not trial.failures, trial.summary()
+        return trial.ends - before
+
+    return run
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str, Iterable[str]], Path]:
+    """Writes a text of these lines into the folder of the test; its path."""
+
+    def write_lines(name: str, lines: Iterable[str]) -> Path:
+        path = tmp_path / name
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    return write_lines
+
+
+@pytest.fixture
+def run_corpus() -> Callable[[Trial, str, set[str]], None]:
+    """Reads what once failed in a format, which must end in one of these ways."""
+
+    def run(trial: Trial, name: str, allowed: set[str]) -> None:
+        before = list(trial.failures)
+        with (CORPUS / f"{name}.csv").open(encoding="utf-8", newline="") as stream:
+            for row in csv.DictReader(stream):
+                recipe = Recipe(int(row["file"]), int(row["kind"]), int(row["seed"]))
+                assert trial.run(recipe) in allowed, row["name"]
+        assert trial.failures == before
+
+    return run

@@ -53,10 +53,10 @@ def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
     )
     block.cam_from_enu = block.cam_from_enu[:3]
     block.observations = block.observed().groupby("image").head(4)
-    found = {}
+    kinds = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        known = np.column_stack([block.lat, block.lon, block.h])
+        places = np.column_stack([block.lat, block.lon, block.h])
         for kind in BLOCK_PROGRAMS:
             (folder / kind).mkdir()
         block.write_colmap(folder / "colmap")
@@ -64,11 +64,11 @@ def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
         block.write_metashape(
             folder / "metashape" / "doc.xml",
             reference=pyproj.CRS.from_epsg(4326).to_wkt("WKT1_GDAL"),
-            known=known[:, [1, 0, 2]],
+            known=places[:, [1, 0, 2]],
         )
         block.write_pix4d(folder / "pix4d", 32632, offset=np.array([465000.0, 5238000.0, 0.0]))
         block.write_blocks_exchange(
-            folder / "blocksexchange" / "block.xml", "EPSG:32632", known=known
+            folder / "blocksexchange" / "block.xml", "EPSG:32632", known=places
         )
         write_project(folder / "dbat")
         for mark in ("markpts.txt", "smartpts.txt"):
@@ -85,8 +85,13 @@ def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
             files = {}
             for path in sorted((folder / kind).iterdir()):
                 files[path.name] = path.read_text(encoding="utf-8")
-            found[kind] = (start, files)
-    return found
+            kinds[kind] = (start, files)
+    return kinds
+
+
+def first_row(lines: list[str]) -> int:
+    """The index of the first line that is neither empty nor a remark."""
+    return next(k for k, line in enumerate(lines) if line and not line.startswith("#"))
 
 
 def block_reader(program: str) -> Reader:
@@ -133,9 +138,9 @@ def write_colmap_binary(folder: Path, draw: random.Random) -> None:
             letters = expanded(form)
             numbers = list(values)
             if name == spoilt and number == record and "s" not in form:
-                at = draw.randrange(len(numbers))
-                kind = np.dtype(letters[at].replace("q", "i8").replace("Q", "u8"))
-                numbers[at] = extreme_number(kind, draw).item()
+                place = draw.randrange(len(numbers))
+                kind = np.dtype(letters[place].replace("q", "i8").replace("Q", "u8"))
+                numbers[place] = extreme_number(kind, draw).item()
             content += struct.pack("<" + form, *numbers)
         (folder / name).write_bytes(content)
 
@@ -234,9 +239,9 @@ def directory(entries: list[tuple[int, int, int, bytes]], begin: int) -> bytes:
     """A directory of TIFF that begins at an offset, and its contents."""
     head = struct.pack("<H", len(entries))
     behind = b""
-    at = begin + 2 + 12 * len(entries) + 4
+    offset = begin + 2 + 12 * len(entries) + 4
     for number, kind, count, content in entries:
-        entry, more = tag(number, kind, count, content, at + len(behind))
+        entry, more = tag(number, kind, count, content, offset + len(behind))
         head += entry
         behind += more
     return head + bytes(4) + behind

@@ -150,6 +150,15 @@ def of_texts(files: Mapping[str, str], read: Callable[[Path], object]) -> Reader
     return Reader(write, read)
 
 
+def of_text(name: str, text: str, read: Callable[[Path, Ledger], object]) -> Reader:
+    """A kind whose input is one file of text."""
+
+    def read_folder(folder: Path) -> object:
+        return with_ledger(lambda ledger: read(folder / name, ledger))
+
+    return of_texts({name: text}, read_folder)
+
+
 NUMBERS = (
     0.0, -0.0, 1.0, -1.0, 2.0**31, 2.0**32, 2.0**63, 2.0**64, 1e18, 1e19, 1e308, -1e308, 5e-324,
     np.nan, np.inf, -np.inf, 9.97e36, -9999.0, 1e20,

@@ -17,7 +17,7 @@ from tests.faults.extreme_inputs import (
     Reader,
     extreme_number,
     extreme_numbers,
-    of_texts,
+    of_text,
     with_ledger,
 )
 from unbend.messages import Ledger
@@ -59,16 +59,11 @@ def trajectory(
     head: str, row: Callable[[int], str], columns: dict[str, str], stated: Stated
 ) -> Reader:
     """A trajectory as CSV; ``row`` writes what stands before the place and the attitude."""
-    own = {"time": "t", **columns}
+    whole = replace(stated, columns={"time": "t", **columns})
     text = table(head, row)
-
-    def read(folder: Path) -> object:
-        own_stated = replace(stated, columns=own)
-        return with_ledger(
-            lambda ledger: read_trajectory_csv(folder / "flight.csv", own_stated, ledger)
-        )
-
-    return of_texts({"flight.csv": text}, read)
+    return of_text(
+        "flight.csv", text, lambda path, ledger: read_trajectory_csv(path, whole, ledger)
+    )
 
 
 def place(k: int) -> str:
@@ -121,12 +116,7 @@ POS_SIGMAS = "1  12   0.0110   0.0070   0.0210   0.0010  -0.0020   0.0030   0.00
 
 def pos(titles: str, row: Callable[[int], str]) -> Reader:
     text = table(POS_HEAD + titles + POS_TAIL, lambda k: f"{row(k)} {POS_SIGMAS}")
-    return of_texts(
-        {"flight.pos": text},
-        lambda folder: with_ledger(
-            lambda ledger: read_pos(folder / "flight.pos", Stated(), ledger)
-        ),
-    )
+    return of_text("flight.pos", text, lambda path, ledger: read_pos(path, Stated(), ledger))
 
 
 def clock(k: int) -> str:
@@ -175,10 +165,7 @@ EO_TEXT = table(
 
 
 def events_of(name: str, text: str, read: Callable[..., object]) -> Reader:
-    return of_texts(
-        {name: text},
-        lambda folder: with_ledger(lambda ledger: read(folder / name, GPST, ledger)),
-    )
+    return of_text(name, text, lambda path, ledger: read(path, GPST, ledger))
 
 
 OPK = {"omega": "o", "phi": "p", "kappa": "k"}
@@ -186,12 +173,7 @@ OPK = {"omega": "o", "phi": "p", "kappa": "k"}
 
 def orientation(text: str, columns: dict[str, str], unit: Any = "deg") -> Reader:
     stated = Stated(columns={"image": "image", **columns}, angle_unit=unit)
-    return of_texts(
-        {"block.csv": text},
-        lambda folder: with_ledger(
-            lambda ledger: read_orientation(folder / "block.csv", stated, ledger)
-        ),
-    )
+    return of_text("block.csv", text, lambda path, ledger: read_orientation(path, stated, ledger))
 
 
 ORIENTATIONS = {
@@ -223,38 +205,35 @@ ORIENTATIONS = {
 }
 
 
-def read_tables(reader: Callable[[Path, dict[str, str]], object], columns: dict[str, str]) -> Any:
-    return lambda folder: reader(folder / "table.csv", columns)
+DATES = {"image": "i", "time_utc": "t"}
+WEEKS = {"image": "i", "gps_week": "w", "gps_seconds": "s"}
+
+
+def read_points(path: Path, _: Ledger) -> object:
+    columns = {"point": "p", "x": "x", "y": "y", "height": "h"}
+    return read_object_points(path, columns, key="key")
 
 
 EVENTS = {
-    "events by dates": of_texts(
-        {"table.csv": table("i,t", lambda k: f"IMG_{k},{DAY}T12:00:0{k}.5+02:00")},
-        lambda folder: with_ledger(
-            lambda ledger: read_events(
-                folder / "table.csv", {"image": "i", "time_utc": "t"}, ledger
-            )
-        ),
+    "events by dates": of_text(
+        "table.csv",
+        table("i,t", lambda k: f"IMG_{k},{DAY}T12:00:0{k}.5+02:00"),
+        lambda path, ledger: read_events(path, DATES, ledger),
     ),
-    "events by weeks": of_texts(
-        {"table.csv": table("i,w,s", lambda k: f"IMG_{k},{WEEK},{TOW + k}.5")},
-        lambda folder: with_ledger(
-            lambda ledger: read_events(
-                folder / "table.csv",
-                {"image": "i", "gps_week": "w", "gps_seconds": "s"},
-                ledger,
-            )
-        ),
+    "events by weeks": of_text(
+        "table.csv",
+        table("i,w,s", lambda k: f"IMG_{k},{WEEK},{TOW + k}.5"),
+        lambda path, ledger: read_events(path, WEEKS, ledger),
     ),
-    "known positions": of_texts(
-        {"table.csv": table("i,lat,lon,h", lambda k: f"IMG_{k},{place(k)}")},
-        lambda folder: read_known_positions(folder / "table.csv", {"image": "i", **PLACE_COLUMNS}),
+    "known positions": of_text(
+        "table.csv",
+        table("i,lat,lon,h", lambda k: f"IMG_{k},{place(k)}"),
+        lambda path, _: read_known_positions(path, {"image": "i", **PLACE_COLUMNS}),
     ),
-    "object points": of_texts(
-        {"table.csv": table("p,x,y,h", lambda k: f"{k},{465000.5 + k},{5238000.5},{500 + k}.5")},
-        lambda folder: read_object_points(
-            folder / "table.csv", {"point": "p", "x": "x", "y": "y", "height": "h"}, key="key"
-        ),
+    "object points": of_text(
+        "table.csv",
+        table("p,x,y,h", lambda k: f"{k},{465000.5 + k},{5238000.5},{500 + k}.5"),
+        read_points,
     ),
 }
 
@@ -290,16 +269,13 @@ COLUMN_TYPES = (
 )
 
 
-def read_observations(path: Path) -> object:
-    def read(ledger: Ledger) -> object:
-        opened = open_observations(
-            path, OBSERVATION_NAMES, "h_g_m", ledger, sigma_column="s", most_rows=5
-        )
-        batches = [*opened.batches(1000)]
-        opened.sampled(points=True)
-        return [(batch.x_px, batch.y_px, batch.ground, batch.distance_m) for batch in batches]
-
-    return with_ledger(read)
+def read_observations(path: Path, ledger: Ledger) -> object:
+    opened = open_observations(
+        path, OBSERVATION_NAMES, "h_g_m", ledger, sigma_column="s", most_rows=5
+    )
+    batches = [*opened.batches(1000)]
+    opened.sampled(points=True)
+    return [(batch.x_px, batch.y_px, batch.ground, batch.distance_m) for batch in batches]
 
 
 def extreme_column(kind: pa.DataType, count: int, draw: random.Random) -> pa.Array:
@@ -326,59 +302,46 @@ def extreme_column(kind: pa.DataType, count: int, draw: random.Random) -> pa.Arr
     return pa.array([extreme_number(dtype, draw) for _ in range(count)], kind)
 
 
-def write_parquet(name: str, sound: dict[str, Any]) -> Callable[[Path, random.Random], None]:
-    """Writes a table one of whose columns has another type and values at its limits."""
+def of_parquet(sound: dict[str, Any], read: Callable[[Path, Ledger], object]) -> Reader:
+    """A table one of whose columns has another type and values at its limits."""
 
     def write(folder: Path, draw: random.Random) -> None:
         columns = {key: pa.array(values) for key, values in sound.items()}
         for key in draw.sample(list(columns), draw.choice((1, 1, 2))):
             columns[key] = extreme_column(draw.choice(COLUMN_TYPES), len(ROWS), draw)
-        pq.write_table(pa.table(columns), folder / name, coerce_timestamps=None)
+        pq.write_table(pa.table(columns), folder / "t.parquet", coerce_timestamps=None)
 
-    return write
+    def read_folder(folder: Path) -> object:
+        return with_ledger(lambda ledger: read(folder / "t.parquet", ledger))
+
+    return Reader(write, read_folder)
 
 
+NUMBERS = [str(k) for k in ROWS]
+PIXELS = [100.5 + k for k in ROWS]
+METRES = [500.5 + k for k in ROWS]
 OBSERVATIONS = {
-    "observations as CSV": of_texts(
-        {"o.csv": OBSERVATIONS_CSV}, lambda folder: read_observations(folder / "o.csv")
+    "observations as CSV": of_text("o.csv", OBSERVATIONS_CSV, read_observations),
+    "observations as Parquet": of_parquet(
+        {
+            "image": [f"IMG_{k}.JPG" for k in ROWS],
+            "point": NUMBERS,
+            **dict.fromkeys(("x_px", "y_px", "d", "h_g_m", "s"), PIXELS),
+            "flown": [DAY for _ in ROWS],
+        },
+        read_observations,
     ),
-    "observations as Parquet": Reader(
-        write_parquet(
-            "o.parquet",
-            {
-                "image": [f"IMG_{k}.JPG" for k in ROWS],
-                "point": [f"{k}" for k in ROWS],
-                **{name: [100.5 + k for k in ROWS] for name in ("x_px", "y_px", "d", "h_g_m", "s")},
-                "flown": [DAY for _ in ROWS],
-            },
-        ),
-        lambda folder: read_observations(folder / "o.parquet"),
-    ),
-    "object points as Parquet": Reader(
-        write_parquet(
-            "p.parquet",
-            {
-                "p": [f"{k}" for k in ROWS],
-                **{name: [500.5 + k for k in ROWS] for name in ("x", "y", "h")},
-            },
-        ),
-        lambda folder: read_object_points(
-            folder / "p.parquet", {"point": "p", "x": "x", "y": "y", "height": "h"}, key="key"
-        ),
+    "object points as Parquet": of_parquet(
+        {"p": NUMBERS, "x": METRES, "y": METRES, "h": METRES}, read_points
     ),
 }
 
 # SBET
 
 
-def write_doubles(name: str, width: int, row: Callable[[int], list[float]]) -> Any:
-    """Writes rows of doubles, as SBET and smrmsg are, with some at their limits."""
-
-    def write(folder: Path, draw: random.Random) -> None:
-        values = np.array([row(k) for k in range(20)])
-        (folder / name).write_bytes(extreme_numbers(values, draw).astype("<f8").tobytes())
-
-    return write
+def write_doubles(path: Path, values: np.ndarray) -> None:
+    """As SBET and smrmsg are."""
+    path.write_bytes(values.astype("<f8").tobytes())
 
 
 def sbet_row(k: int) -> list[float]:
@@ -388,11 +351,17 @@ def sbet_row(k: int) -> list[float]:
     ]  # fmt: skip
 
 
+SBET = np.array([sbet_row(k) for k in range(20)])
+SMRMSG = np.array([[TOW + 0.2 * k, *[0.03] * 6, 0.6, 0.8, 3.0] for k in range(-2, 20)])
+
+
+def write_sbet(folder: Path, draw: random.Random) -> None:
+    write_doubles(folder / "sbet.out", extreme_numbers(SBET, draw))
+
+
 def write_smrmsg(folder: Path, draw: random.Random) -> None:
-    sound = np.array([sbet_row(k) for k in range(20)])
-    (folder / "sbet.out").write_bytes(sound.astype("<f8").tobytes())
-    rows = np.array([[TOW + 0.2 * k, *[0.03] * 6, 0.6, 0.8, 3.0] for k in range(-2, 20)])
-    (folder / "sigmas.out").write_bytes(extreme_numbers(rows, draw).astype("<f8").tobytes())
+    write_doubles(folder / "sbet.out", SBET)
+    write_doubles(folder / "sigmas.out", extreme_numbers(SMRMSG, draw))
 
 
 def read_sbet_of(folder: Path, accuracy: str = "") -> object:
@@ -401,7 +370,7 @@ def read_sbet_of(folder: Path, accuracy: str = "") -> object:
 
 
 BINARY_TABLES = {
-    "SBET": Reader(write_doubles("sbet.out", 17, sbet_row), read_sbet_of),
+    "SBET": Reader(write_sbet, read_sbet_of),
     "smrmsg": Reader(write_smrmsg, lambda folder: read_sbet_of(folder, "sigmas.out")),
 }
 

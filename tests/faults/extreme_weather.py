@@ -12,11 +12,12 @@ from tests.faults.extreme_inputs import (
     Reader,
     extreme_number,
     extreme_numbers,
-    of_texts,
+    of_text,
     with_ledger,
 )
 from tests.faults.extreme_tables import DAY, NOON_NS, UNIX_S
 from unbend.atmosphere.surface_report import parse_metar
+from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.model_fields import FlightArea, read_model_field
 from unbend.tables.soundings import read_sounding
@@ -51,19 +52,17 @@ REPORT = "METAR LOWW 061150Z 24011KT 9999 SCT040 M05/M10 Q1013 A2992 NOSIG RMK T
 
 
 def sounding_of(text: str, format_name: str = "auto") -> Reader:
-    def read(folder: Path) -> object:
-        return with_ledger(
-            lambda ledger: read_sounding(
-                folder / "s.txt",
-                ledger,
-                format_name=format_name,
-                time_ns=NOON_NS,
-                latitude_rad=0.8,
-                station_h_m=100.0,
-            )
+    def read(path: Path, ledger: Ledger) -> object:
+        return read_sounding(
+            path,
+            ledger,
+            format_name=format_name,
+            time_ns=NOON_NS,
+            latitude_rad=0.8,
+            station_h_m=100.0,
         )
 
-    return of_texts({"s.txt": text}, read)
+    return of_text("s.txt", text, read)
 
 
 def head_of(name: str, lines: int = 30) -> str:
@@ -166,6 +165,11 @@ def read_model(folder: Path) -> object:
     return with_ledger(lambda ledger: read_model_field(path, area, ledger))
 
 
+def read_report(path: Path, ledger: Ledger) -> object:
+    text = path.read_text(encoding="utf-8")
+    return parse_metar(text, 183.0, ledger, flight_ns=NOON_NS)
+
+
 WEATHER = {
     "sounding as CSV": sounding_of(PLAIN_SOUNDING),
     "sounding as Wyoming's list": sounding_of(WYOMING_LIST),
@@ -182,14 +186,7 @@ WEATHER = {
             lambda ledger: read_sounding(folder / "sonde.cdf", ledger, time_ns=NOON_NS)
         ),
     ),
-    "METAR": of_texts(
-        {"m.txt": f"2026/05/06 11:50 {REPORT}"},
-        lambda folder: with_ledger(
-            lambda ledger: parse_metar(
-                (folder / "m.txt").read_text(encoding="utf-8"), 183.0, ledger, flight_ns=NOON_NS
-            )
-        ),
-    ),
+    "METAR": of_text("m.txt", f"2026/05/06 11:50 {REPORT}", read_report),
     "weather model": Reader(write_model, read_model),
 }
 
@@ -201,10 +198,10 @@ def write_gtx(folder: Path, draw: random.Random) -> None:
     head = np.array([46.0, 7.0, 0.25, 0.25])
     size = np.array([5, 6], "i4")
     values = np.full((5, 6), 47.5, "f4")
-    what = draw.choice("hsv")
-    if what == "h":
+    part = draw.choice("hsv")
+    if part == "h":
         head = extreme_numbers(head, draw)
-    elif what == "s":
+    elif part == "s":
         size = extreme_numbers(size, draw)
     else:
         values = extreme_numbers(values, draw)

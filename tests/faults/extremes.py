@@ -94,18 +94,17 @@ def packed_extremes(
     for place in changed:
         if isinstance(values[place], int | float):
             result[place] = extreme_value(layout[place], draw)
-    return struct.pack("<" + "".join(layout), *result)
+    return struct.pack("<" + layout, *result)
 
 
 def some_places(count: int, draw: random.Random) -> set[int]:
     return {k for k in range(count) if draw.random() < 0.3} or {draw.randrange(count)}
 
 
-DATAFLASH_ROWS: dict[str, tuple[str, list[str], dict[str, Any]]] = {
-    # letters of FMT; letters of struct; usual values
+DATAFLASH_ROWS: dict[str, tuple[str, dict[str, Any]]] = {
+    # letters of FMT; usual values
     "GPS": (
         "QBIHBcLLefffB",
-        ["Q", "B", "I", "H", "B", "h", "i", "i", "i", "f", "f", "f", "B"],
         {
             "TimeUS": 0,
             "Status": 3,
@@ -122,12 +121,11 @@ DATAFLASH_ROWS: dict[str, tuple[str, list[str], dict[str, Any]]] = {
             "I": 0,
         },
     ),
-    "ATT": ("QccC", ["Q", "h", "h", "H"], {"TimeUS": 0, "Roll": 100, "Pitch": 50, "Yaw": 9000}),
-    "BARO": ("QBff", ["Q", "B", "f", "f"], {"TimeUS": 0, "I": 0, "Press": 9e4, "Temp": 20.0}),
-    "HYGR": ("QBff", ["Q", "B", "f", "f"], {"TimeUS": 0, "Id": 0, "Humidity": 50.0, "Temp": 20.0}),
+    "ATT": ("QccC", {"TimeUS": 0, "Roll": 100, "Pitch": 50, "Yaw": 9000}),
+    "BARO": ("QBff", {"TimeUS": 0, "I": 0, "Press": 9e4, "Temp": 20.0}),
+    "HYGR": ("QBff", {"TimeUS": 0, "Id": 0, "Humidity": 50.0, "Temp": 20.0}),
     "CAM": (
         "QIHLLee",
-        ["Q", "I", "H", "i", "i", "i", "i"],
         {
             "TimeUS": 0,
             "GPSTime": 200_000,
@@ -138,35 +136,34 @@ DATAFLASH_ROWS: dict[str, tuple[str, list[str], dict[str, Any]]] = {
             "RelAlt": 100,
         },
     ),
-    "GPA": ("QCCf", ["Q", "H", "H", "f"], {"TimeUS": 0, "HAcc": 50, "VAcc": 80, "AEl": 500.0}),
-    "DSF": ("QI", ["Q", "I"], {"TimeUS": 0, "Dp": 0}),
-    "MNT": ("Qfff", ["Q", "f", "f", "f"], {"TimeUS": 0, "Roll": 1.0, "Pitch": 1.0, "YawE": 1.0}),
-    "TRIG": ("QIH", ["Q", "I", "H"], {"TimeUS": 0, "GPSTime": 0, "GPSWeek": 2200}),
+    "GPA": ("QCCf", {"TimeUS": 0, "HAcc": 50, "VAcc": 80, "AEl": 500.0}),
+    "DSF": ("QI", {"TimeUS": 0, "Dp": 0}),
+    "MNT": ("Qfff", {"TimeUS": 0, "Roll": 1.0, "Pitch": 1.0, "YawE": 1.0}),
+    "TRIG": ("QIH", {"TimeUS": 0, "GPSTime": 0, "GPSWeek": 2200}),
 }
 LETTERS_OF_NUMBERS = "bBhHiIqQfdcCeELg"
+LETTERS_OF_STRUCT = str.maketrans("cCeELg", "hHiIie")
+"""Of those letters of FMT that struct has in another sense: scaled numbers, and half floats."""
 
 
 def extreme_dataflash(draw: random.Random) -> bytes:
     """Some rows with values at their limits; a definition may come again with other letters."""
     parts = [hostile.definition_of("FMT")]
     numbers = {name: 150 + k for k, name in enumerate(DATAFLASH_ROWS)}
-    changed = {name: some_places(len(row[1]), draw) for name, row in DATAFLASH_ROWS.items()}
-    layouts = {name: list(row[1]) for name, row in DATAFLASH_ROWS.items()}
+    changed = {name: some_places(len(row[0]), draw) for name, row in DATAFLASH_ROWS.items()}
+    layouts: dict[str, str] = {}
 
     def define(name: str, letters: str) -> None:
-        columns = ",".join(DATAFLASH_ROWS[name][2])
-        sizes = {letter: struct.calcsize(letter) for letter in "bBhHiIqQfde"}
-        layouts[name] = [
-            {"c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "g": "e"}.get(x, x) for x in letters
-        ]
-        length = 3 + sum(sizes[letter] for letter in layouts[name])
+        columns = ",".join(DATAFLASH_ROWS[name][1])
+        layouts[name] = letters.translate(LETTERS_OF_STRUCT)
+        length = 3 + struct.calcsize("<" + layouts[name])
         parts.append(hostile.binary_definition(numbers[name], name, letters, columns, length))
 
-    for name, (letters, _, _) in DATAFLASH_ROWS.items():
+    for name, (letters, _) in DATAFLASH_ROWS.items():
         define(name, letters)
     share = draw.choice((0.02, 0.5, 1.0))
     for k in range(40):
-        for name, (letters, _, usual) in DATAFLASH_ROWS.items():
+        for name, (letters, usual) in DATAFLASH_ROWS.items():
             if draw.random() < 0.01:
                 define(name, "".join(draw.choice(LETTERS_OF_NUMBERS) for _ in letters))
             values: list[Any] = []
@@ -178,7 +175,7 @@ def extreme_dataflash(draw: random.Random) -> bytes:
                     bits = 8 * struct.calcsize(letter)
                     values.append(int(now) % (1 << bits - 1))
             places = changed[name] if draw.random() < share else set()
-            row = packed_extremes("".join(layouts[name]), values, places, draw)
+            row = packed_extremes(layouts[name], values, places, draw)
             parts.append(b"\xa3\x95" + bytes([numbers[name]]) + row)
     return b"".join(parts)
 
@@ -186,15 +183,15 @@ def extreme_dataflash(draw: random.Random) -> bytes:
 def extreme_text(draw: random.Random) -> bytes:
     """Lines with odd words in the place of some values."""
     lines = [hostile.BARO_LINES[0]]
-    for k, (name, (letters, _, usual)) in enumerate(DATAFLASH_ROWS.items()):
+    for k, (name, (letters, usual)) in enumerate(DATAFLASH_ROWS.items()):
         lines.append(hostile.definition_line(150 + k, name, letters, ",".join(usual)))
     lines.append(hostile.definition_line(190, "MSG", "QZ", "TimeUS,Message"))
     lines.append(hostile.definition_line(191, "PARM", "QNf", "TimeUS,Name,Value"))
     share = draw.choice((0.02, 0.5, 1.0))
-    columns = {name: some_places(len(row[1]), draw) for name, row in DATAFLASH_ROWS.items()}
+    columns = {name: some_places(len(row[0]), draw) for name, row in DATAFLASH_ROWS.items()}
     words = {name: draw.choice(WORDS) for name in DATAFLASH_ROWS}
     for k in range(40):
-        for name, (_, _, usual) in DATAFLASH_ROWS.items():
+        for name, (_, usual) in DATAFLASH_ROWS.items():
             values = [str(value) for value in usual.values()]
             values[0] = str(5_000_000 + 200_000 * k)
             if draw.random() < share:
@@ -236,7 +233,7 @@ def extreme_ulog(draw: random.Random) -> bytes:
         key = f"{kind} EKF2_GPS_DELAY".encode()
         data += hostile.ulog_message("P", bytes([len(key)]) + key + value)
     for number, name in enumerate(ULOG_TOPICS):
-        data += hostile.ulog_message("A", struct.pack("<BH", 0, number) + name.encode())
+        data += hostile.subscription(number, name)
     share = draw.choice((0.02, 0.5, 1.0))
     changed = {name: some_places(len(row[0]), draw) for name, row in ULOG_TOPICS.items()}
     for k in range(60):
@@ -270,7 +267,7 @@ TLOG_MESSAGES: dict[str, dict[str, Any]] = {
         "h_acc": 0,
         "v_acc": 0,
     },
-    "scaled_pressure": hostile.pressure_fields(0),
+    "scaled_pressure": hostile.scaled_pressure(0, 0).fields,
     "camera_feedback": {
         "time_usec": 0,
         "target_system": 0,
@@ -380,7 +377,7 @@ def extreme_tlog(draw: random.Random) -> bytes:
                 fields |= {field: extreme_field(field, draw) for field in chosen[name]}
             if draw.random() < stamp_share:
                 host_us = draw.choice((0, 1, 2**63 - 1, 2**64 - 1, 2**52))
-            frames.append((1, 1, host_us, fields, name))
+            frames.append(hostile.Frame(host_us, name, fields))
     return hostile.telemetry(frames)
 
 
@@ -416,7 +413,7 @@ def extreme_mcap(draw: random.Random) -> bytes:
     }
     parts = []
     for number, (name, definition) in kinds.items():
-        parts.append(hostile.schema(number, name, "ros2msg", definition))
+        parts.append(hostile.schema(number, name, definition))
         parts.append(hostile.channel(number, number, f"/t{number}", "cdr"))
     parts.append(hostile.channel(9, 0, "/json", "json"))
     share = draw.choice((0.02, 0.5, 1.0))
@@ -434,9 +431,9 @@ def extreme_mcap(draw: random.Random) -> bytes:
             ),
         }
         for number, (layout, values) in rows.items():
-            places = (
-                {p for p in changed[number] if p < len(values)} if draw.random() < share else set()
-            )
+            places = set()
+            if draw.random() < share:
+                places = {place for place in changed[number] if place < len(values)}
             if number == 1:
                 places.discard(2)  # the length of a text
             content = packed_extremes(layout, values, places, draw)

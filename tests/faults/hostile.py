@@ -6,17 +6,20 @@ are proportional to it, except where they are compressed.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from struct import pack
+from typing import Any
 
 from unbend.simulate.write_dataflash import FORMATS
 
 START_NS = 1_763_073_169_000_000_000
+WEEK_MS = 604_800_000
 HEADER_OF_ROS = (
     "===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
     "===\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
 )
+CDR = b"\0\1\0\0"  # little-endian
 FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
 TOO_LARGE = "LOG-TOO-LARGE"
 
@@ -40,11 +43,11 @@ class Hostile:
 
 
 def record(opcode: int, content: bytes) -> bytes:
-    return struct.pack("<BQ", opcode, len(content)) + content
+    return pack("<BQ", opcode, len(content)) + content
 
 
 def text(value: str) -> bytes:
-    return struct.pack("<I", len(value)) + value.encode()
+    return pack("<I", len(value)) + value.encode()
 
 
 def chunk(records: bytes) -> bytes:
@@ -52,81 +55,104 @@ def chunk(records: bytes) -> bytes:
     import zstandard
 
     packed = zstandard.ZstdCompressor(level=3).compress(records)
-    head = struct.pack("<QQQI", START_NS, START_NS, len(records), 0) + text("zstd")
-    return record(6, head + struct.pack("<Q", len(packed)) + packed)
+    head = pack(
+        "<QQQI",
+        START_NS,
+        START_NS,
+        len(records),
+        0,
+    ) + text("zstd")
+    return record(6, head + pack("<Q", len(packed)) + packed)
 
 
 def mcap(records: bytes) -> bytes:
     """A file of these records, without a summary."""
     magic = b"\x89MCAP0\r\n"
+    begin = record(1, text("ros2") + text("hostile"))
     end = record(15, bytes(4)) + record(2, bytes(20))
-    return magic + record(1, text("ros2") + text("hostile")) + records + end + magic
+    return magic + begin + records + end + magic
 
 
-def schema(number: int, name: str, encoding: str, definition: str) -> bytes:
-    return record(3, struct.pack("<H", number) + text(name) + text(encoding) + text(definition))
+def schema(number: int, name: str, definition: str) -> bytes:
+    """A message of ROS."""
+    content = pack("<H", number) + text(name) + text("ros2msg") + text(definition)
+    return record(3, content)
 
 
-def channel(number: int, schema_number: int, topic: str, encoding: str) -> bytes:
-    head = struct.pack("<HH", number, schema_number)
-    return record(4, head + text(topic) + text(encoding) + struct.pack("<I", 0))
+def channel(
+    number: int,
+    schema_number: int,
+    topic: str,
+    encoding: str,
+) -> bytes:
+    head = pack("<HH", number, schema_number)
+    content = head + text(topic) + text(encoding) + pack("<I", 0)
+    return record(4, content)
 
 
 def message(number: int, k: int, content: bytes) -> bytes:
     time_ns = START_NS + k * 10_000_000
-    return record(5, struct.pack("<HIQQ", number, k, time_ns, time_ns) + content)
+    return record(5, pack("<HIQQ", number, k, time_ns, time_ns) + content)
 
 
 def stamped(k: int, frame: bytes = b"b\0") -> bytes:
     """CDR: the header of a message of ROS, its text with the NUL; padded to 8 bytes."""
     seconds, part_ns = divmod(START_NS + k * 10_000_000, 10**9)
-    data = struct.pack("<iII", seconds, part_ns, len(frame)) + frame
-    return data + bytes(-len(data) % 8)
+    data = pack("<iII", seconds, part_ns, len(frame)) + frame
+    return padded(data, 8)
 
 
-def pressures(count: int, number: int = 1) -> bytes:
-    """Messages of static pressure."""
-    rows = [
-        message(number, k, b"\0\1\0\0" + stamped(k) + struct.pack("<d", 9e4 - k))
-        for k in range(count)
-    ]
-    return b"".join(rows)
+def padded(data: bytes, step: int) -> bytes:
+    """Zeros up to the next multiple of the step."""
+    return data + bytes(-len(data) % step)
 
 
-PRESSURE = schema(
-    1, FLUID_PRESSURE, "ros2msg", f"std_msgs/Header header\nfloat64 fluid_pressure\n{HEADER_OF_ROS}"
-)
+def pressure(number: int, k: int, pressure_pa: float) -> bytes:
+    """A message of static pressure."""
+    return message(number, k, CDR + stamped(k) + pack("<d", pressure_pa))
+
+
+def pressures(count: int) -> bytes:
+    return b"".join(pressure(1, k, 9e4 - k) for k in range(count))
+
+
+def stamped_schema(number: int, name: str, fields: str) -> bytes:
+    """A message of ROS with a header."""
+    return schema(number, name, f"std_msgs/Header header\n{fields}{HEADER_OF_ROS}")
+
+
+PRESSURE = stamped_schema(1, FLUID_PRESSURE, "float64 fluid_pressure\n")
 AIR = PRESSURE + channel(1, 1, "/air", "cdr")
+
+
+def beside_air(definitions: bytes, rows: bytes) -> bytes:
+    """A log of thirty pressures, and of messages of others in a chunk."""
+    return mcap(AIR + pressures(30) + definitions + chunk(rows))
 
 
 def elements_of_bytes(n: int) -> bytes:
     """Three sequences of n elements of two bytes each, before the wanted field; compressed."""
-    element = "===\nMSG: a/Pair\nuint8 x\nuint8 y\n"
     fields = "a/Pair[] a\na/Pair[] b\na/Pair[] c\nfloat64 fluid_pressure\n"
-    definition = schema(
-        2, FLUID_PRESSURE, "ros2msg", f"std_msgs/Header header\n{fields}{HEADER_OF_ROS}\n{element}"
-    )
+    pair = "\n===\nMSG: a/Pair\nuint8 x\nuint8 y\n"
+    definition = f"std_msgs/Header header\n{fields}{HEADER_OF_ROS}{pair}"
+    definitions = schema(2, FLUID_PRESSURE, definition)
+    definitions += channel(2, 2, "/bytes", "cdr")
     content = stamped(0)
     for _ in range(3):
-        content += bytes(-len(content) % 4) + struct.pack("<I", n) + bytes(2 * n)
-    content += bytes(-len(content) % 8) + struct.pack("<d", 9e4)
-    data = definition + channel(2, 2, "/bytes", "cdr")
+        content = padded(content, 4) + pack("<I", n) + bytes(2 * n)
+    content = padded(content, 8) + pack("<d", 9e4)
     # messages longer than 64 KiB are not kept whole: many shorter ones cost the same
-    return mcap(AIR + pressures(30) + data + chunk(message(2, 0, b"\0\1\0\0" + content)))
+    return beside_air(definitions, message(2, 0, CDR + content))
 
 
 def elements_of_texts(n: int) -> bytes:
     """A sequence of n texts before the wanted field; compressed."""
-    definition = schema(
-        2,
-        FLUID_PRESSURE,
-        "ros2msg",
-        f"std_msgs/Header header\nstring[] words\nfloat64 fluid_pressure\n{HEADER_OF_ROS}",
-    )
-    content = stamped(0) + struct.pack("<I", n) + bytes(4 * n)
-    content += bytes(-len(content) % 8) + struct.pack("<d", 9e4)
-    data = definition + channel(2, 2, "/words", "cdr")
-    return mcap(AIR + pressures(30) + data + chunk(message(2, 0, b"\0\1\0\0" + content)))
+    fields = "string[] words\nfloat64 fluid_pressure\n"
+    definitions = stamped_schema(2, FLUID_PRESSURE, fields)
+    definitions += channel(2, 2, "/words", "cdr")
+    content = stamped(0) + pack("<I", n) + bytes(4 * n)
+    content = padded(content, 8) + pack("<d", 9e4)
+    return beside_air(definitions, message(2, 0, CDR + content))
 
 
 def new_keys(n: int) -> bytes:
@@ -134,46 +160,51 @@ def new_keys(n: int) -> bytes:
     rows = []
     for k in range(n):
         keys = ",".join(f'"k{k}_{j}":1' for j in range(300))
-        rows.append(message(2, k, f'{{"timestamp":{START_NS + k},"value":{k},{keys}}}'.encode()))
-    return mcap(AIR + pressures(30) + channel(2, 0, "/json", "json") + chunk(b"".join(rows)))
+        content = f'{{"timestamp":{START_NS + k},"value":{k},{keys}}}'
+        rows.append(message(2, k, content.encode()))
+    return beside_air(channel(2, 0, "/json", "json"), b"".join(rows))
 
 
 def long_names(n: int) -> bytes:
     """A text of 50 n letters in one exposure among n others; compressed."""
-    image = f"std_msgs/Header header\nstring format\nuint8[] data\n{HEADER_OF_ROS}"
+    definitions = stamped_schema(
+        2,
+        "sensor_msgs/msg/CompressedImage",
+        "string format\nuint8[] data\n",
+    )
+    definitions += channel(2, 2, "/camera", "cdr")
+    image = pack("<I4sI", 4, b"jpg\0", 0)
     rows = []
     for k in range(n):
-        frame = b"f" * (50 * n if k == n // 2 else 1) + b"\0"
-        rows.append(
-            message(2, k, b"\0\1\0\0" + stamped(k, frame) + struct.pack("<I4sI", 4, b"jpg\0", 0))
-        )
-    data = schema(2, "sensor_msgs/msg/CompressedImage", "ros2msg", image)
-    return mcap(
-        AIR + pressures(30) + data + channel(2, 2, "/camera", "cdr") + chunk(b"".join(rows))
-    )
+        letters = 50 * n if k == n // 2 else 1
+        frame = b"f" * letters + b"\0"
+        rows.append(message(2, k, CDR + stamped(k, frame) + image))
+    return beside_air(definitions, b"".join(rows))
+
+
+def chunks_of(row: bytes, n: int) -> bytes:
+    """A record n times, 100,000 in a chunk."""
+    sizes = [min(100_000, n - done) for done in range(0, n, 100_000)]
+    return b"".join(chunk(row * size) for size in sizes)
 
 
 def minimal_messages(n: int) -> bytes:
     """n messages without content that take nearly no bytes; compressed."""
-    row = record(5, struct.pack("<HIQQ", 2, 0, START_NS, START_NS))
-    data = PRESSURE + channel(2, 1, "/empty", "cdr")
-    chunks = [chunk(row * min(100_000, n - done)) for done in range(0, n, 100_000)]
-    return mcap(AIR + pressures(30) + data + b"".join(chunks))
+    definitions = PRESSURE + channel(2, 1, "/empty", "cdr")
+    rows = chunks_of(message(2, 0, b""), n)
+    return mcap(AIR + pressures(30) + definitions + rows)
 
 
 def minimal_values(n: int) -> bytes:
     """n messages of pressure that are all the same; compressed."""
-    row = message(1, 0, b"\0\1\0\0" + stamped(0) + struct.pack("<d", 9e4))
-    chunks = [chunk(row * min(100_000, n - done)) for done in range(0, n, 100_000)]
-    return mcap(AIR + b"".join(chunks))
+    return mcap(AIR + chunks_of(pressure(1, 0, 9e4), n))
 
 
 def tiny_chunks(n: int) -> bytes:
     """n chunks with a message each, and as many without any."""
     parts = []
     for k in range(n):
-        row = message(1, k, b"\0\1\0\0" + stamped(k) + struct.pack("<d", 9e4 - k))
-        parts += [chunk(row), chunk(b"")]
+        parts += [chunk(pressure(1, k, 9e4 - k)), chunk(b"")]
     return mcap(AIR + b"".join(parts))
 
 
@@ -182,14 +213,19 @@ def many_channels(n: int) -> bytes:
     parts = [PRESSURE]
     for k in range(n):
         parts.append(channel(k + 1, 1, f"/t{k}", "cdr"))
-        parts.append(message(k + 1, k, b"\0\1\0\0" + stamped(k) + struct.pack("<d", 9e4)))
+        parts.append(pressure(k + 1, k, 9e4))
     return mcap(b"".join(parts))
 
 
 # DataFlash as text and in binary.
 
 
-def definition_line(number: int, name: str, letters: str, columns: str) -> str:
+def definition_line(
+    number: int,
+    name: str,
+    letters: str,
+    columns: str,
+) -> str:
     length = 3 + 8 * len(letters)
     return f"FMT, {number}, {length}, {name}, {letters}, {columns}"
 
@@ -213,9 +249,8 @@ def redefined_lines(n: int) -> bytes:
     """n times a new definition of GPS, and a row of it."""
     lines = [*BARO_LINES, *baro_lines(30)]
     for k in range(n):
-        lines.append(
-            definition_line(130, "GPS", "QBIHBfff", f"TimeUS,Status,GMS,GWk,NSats,F{k},G{k},H{k}")
-        )
+        columns = f"TimeUS,Status,GMS,GWk,NSats,F{k},G{k},H{k}"
+        lines.append(definition_line(130, "GPS", "QBIHBfff", columns))
         lines.append(f"GPS, {1_000_000 + k}, 3, {k}, 2200, 9, 1.0, 2.0, 3.0")
     return text_log(lines)
 
@@ -238,9 +273,9 @@ def boots_as_text(n: int) -> bytes:
     for boot in range(n):
         lines += baro_lines(12, from_us=5_000_000)
         for k in range(3):
-            week_ms = 1000 * (60 * boot + k)
+            week_ms = 1000 * (60 * boot + k) % WEEK_MS
             time_us = 6_000_000 + 200_000 * k
-            lines.append(f"GPS, {time_us}, 0, 3, {week_ms % 604_800_000}, 2200, 47.0, 8.0, 500.0")
+            lines.append(f"GPS, {time_us}, 0, 3, {week_ms}, 2200, 47.0, 8.0, 500.0")
     return text_log(lines)
 
 
@@ -253,24 +288,48 @@ def packed(name: str, **values: object) -> bytes:
     return form.pack(*(blank | values).values())
 
 
-def binary_definition(type_id: int, name: str, letters: str, columns: str, length: int) -> bytes:
-    parts = (name.encode(), letters.encode(), columns.encode())
-    return FORMATS["FMT"].pack(type_id, length, *parts)
+def binary_definition(
+    type_id: int,
+    name: str,
+    letters: str,
+    columns: str,
+    length: int,
+) -> bytes:
+    return FORMATS["FMT"].pack(
+        type_id,
+        length,
+        name.encode(),
+        letters.encode(),
+        columns.encode(),
+    )
 
 
 def definition_of(name: str) -> bytes:
     form = FORMATS[name]
+    length = 3 + form.struct.size
     return binary_definition(
-        form.type_id, form.name, form.format, form.columns, 3 + form.struct.size
+        form.type_id,
+        form.name,
+        form.format,
+        form.columns,
+        length,
     )
+
+
+def baro_record(time_us: int, pressure_pa: float = 90_000.0) -> bytes:
+    return packed("BARO", TimeUS=time_us, Press=pressure_pa, Temp=20.0)
+
+
+def record_of_200(columns: bytes) -> bytes:
+    """A record of the type that a builder defines."""
+    return b"\xa3\x95" + bytes([200]) + columns
 
 
 def binary_log(records: bytes) -> bytes:
-    rows = b"".join(
-        packed("BARO", TimeUS=1_000_000 + 100_000 * k, Press=90_000.0 - k, Temp=20.0)
-        for k in range(30)
-    )
-    return definition_of("FMT") + definition_of("BARO") + rows + records
+    data = definition_of("FMT") + definition_of("BARO")
+    for k in range(30):
+        data += baro_record(1_000_000 + 100_000 * k, 90_000.0 - k)
+    return data + records
 
 
 def redefined_records(n: int) -> bytes:
@@ -278,7 +337,7 @@ def redefined_records(n: int) -> bytes:
     parts = []
     for k in range(n):
         parts.append(binary_definition(200, "GPS", "QBI", f"TimeUS,A{k},B{k}", 16))
-        parts.append(b"\xa3\x95" + bytes([200]) + struct.pack("<QBI", 1_000_000 + k, 3, 5))
+        parts.append(record_of_200(pack("<QBI", 1_000_000 + k, 3, 5)))
     return binary_log(b"".join(parts))
 
 
@@ -286,10 +345,10 @@ def redefined_in_turns(n: int) -> bytes:
     """One type that has two definitions in turns."""
     parts = []
     for k in range(n):
-        letter, value = ("I", struct.pack("<I", 5)) if k % 2 else ("H", struct.pack("<H", 5))
-        length = 3 + 8 + len(value)
-        parts.append(binary_definition(200, "GPS", f"Q{letter}", "TimeUS,A", length))
-        parts.append(b"\xa3\x95" + bytes([200]) + struct.pack("<Q", 1_000_000 + k) + value)
+        letters = "QI" if k % 2 else "QH"
+        row = record_of_200(pack(f"<{letters}", 1_000_000 + k, 5))
+        parts.append(binary_definition(200, "GPS", letters, "TimeUS,A", len(row)))
+        parts.append(row)
     return binary_log(b"".join(parts))
 
 
@@ -297,42 +356,53 @@ def boots_as_records(n: int) -> bytes:
     """n power-ups of a few records, with a fix each."""
     parts = [definition_of("GPS")]
     for boot in range(n):
-        for k in range(12):
-            parts.append(packed("BARO", TimeUS=5_000_000 + 100_000 * k, Press=90_000.0, Temp=20.0))
+        parts += [baro_record(5_000_000 + 100_000 * k) for k in range(12)]
         for k in range(3):
-            week_ms = 1000 * (60 * boot + k)
-            fix = {"Status": 4, "GMS": week_ms % 604_800_000, "GWk": 2200, "Lat": 47.0, "Lng": 8.0}
-            parts.append(packed("GPS", TimeUS=6_000_000 + 200_000 * k, **fix))
+            fix = packed(
+                "GPS",
+                TimeUS=6_000_000 + 200_000 * k,
+                Status=4,
+                GMS=1000 * (60 * boot + k) % WEEK_MS,
+                GWk=2200,
+                Lat=47.0,
+                Lng=8.0,
+            )
+            parts.append(fix)
     return binary_log(b"".join(parts))
 
 
 def damage_again_and_again(n: int) -> bytes:
     """n times four records with a bad byte behind."""
-    rows = [packed("BARO", TimeUS=5_000_000 + k, Press=90_000.0, Temp=20.0) for k in range(4)]
-    one = b"".join(rows) + b"\xa3"
-    return binary_log(one * n)
+    rows = b"".join(baro_record(5_000_000 + k) for k in range(4))
+    return binary_log((rows + b"\xa3") * n)
 
 
 # PX4.
 
 
 def ulog_message(kind: str, payload: bytes) -> bytes:
-    return struct.pack("<HB", len(payload), ord(kind)) + payload
+    return pack("<HB", len(payload), ord(kind)) + payload
+
+
+def subscription(number: int, topic: str, instance: int = 0) -> bytes:
+    return ulog_message("A", pack("<BH", instance, number) + topic.encode())
+
+
+def baro_data(number: int, time_us: int, pressure_pa: float) -> bytes:
+    return ulog_message("D", pack("<HQ2f", number, time_us, pressure_pa, 20.0))
 
 
 def ulog(parts: Iterable[bytes]) -> bytes:
-    head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000) + ulog_message("B", bytes(40))
+    head = b"ULog\x01\x12\x35\x01" + pack("<Q", 1000) + ulog_message("B", bytes(40))
     head += ulog_message("F", b"sensor_baro:uint64_t timestamp;float pressure;float temperature;")
-    definitions = b""
-    data = b""
+    data = subscription(0, "sensor_baro")
+    for k in range(30):
+        data += baro_data(0, 1_000_000 + 100_000 * k, 9e4 - k)
     for part in parts:
         if part[2] in b"FIMPQ":
-            definitions += part
+            head += part
         else:
             data += part
-    head += definitions + ulog_message("A", struct.pack("<BH", 0, 0) + b"sensor_baro")
-    for k in range(30):
-        head += ulog_message("D", struct.pack("<HQ2f", 0, 1_000_000 + 100_000 * k, 9e4 - k, 20.0))
     return head + data
 
 
@@ -341,7 +411,7 @@ def nested_formats(n: int) -> bytes:
     parts = [ulog_message("F", b"a:uint8_t[250] x;"), ulog_message("F", b"b:a[250] y;")]
     for k in range(n):
         parts.append(ulog_message("F", f"t{k}:uint64_t timestamp;b z;".encode()))
-        parts.append(ulog_message("A", struct.pack("<BH", 0, k + 1) + f"t{k}".encode()))
+        parts.append(subscription(k + 1, f"t{k}"))
     return ulog(parts)
 
 
@@ -349,39 +419,57 @@ def many_topics(n: int) -> bytes:
     """n instances of the barometer, with a row each."""
     parts = []
     for k in range(n):
-        parts.append(ulog_message("A", struct.pack("<BH", k % 256, k + 1) + b"sensor_baro"))
-        parts.append(ulog_message("D", struct.pack("<HQ2f", k + 1, 1_000_000, 9e4, 20.0)))
+        parts.append(subscription(k + 1, "sensor_baro", instance=k % 256))
+        parts.append(baro_data(k + 1, 1_000_000, 9e4))
     return ulog(parts)
 
 
 # Telemetry.
 
 
-def telemetry(frames: Iterable[tuple[int, int, int, dict[str, object], str]]) -> bytes:
-    """Messages: sender (system, component), host time [us], fields and name."""
-    from pymavlink.dialects.v20 import all as library
-
-    senders: dict[tuple[int, int], object] = {}
-    parts = []
-    for system, component, host_us, fields, name in frames:
-        sender = senders.setdefault((system, component), library.MAVLink(None, system, component))
-        packet = getattr(library, f"MAVLink_{name}_message")(**fields).pack(sender)
-        sender.seq = (sender.seq + 1) % 256  # type: ignore[attr-defined]
-        parts.append(struct.pack(">Q", host_us) + packet)
-    return b"".join(parts)
-
-
 HOST_US = 1_700_000_000_000_000
 
 
-def pressure_fields(ms: int) -> dict[str, object]:
-    return {
-        "time_boot_ms": ms,
+@dataclass(frozen=True)
+class Frame:
+    """A message of telemetry: when the host received it, its name and fields, and who sent it."""
+
+    host_us: int
+    name: str
+    fields: dict[str, object]
+    system: int = 1
+    component: int = 1
+
+
+def telemetry(frames: Iterable[Frame]) -> bytes:
+    from pymavlink.dialects.v20 import all as library
+
+    senders: dict[tuple[int, int], Any] = {}
+    parts = []
+    for frame in frames:
+        address = frame.system, frame.component
+        sender = senders.setdefault(address, library.MAVLink(None, *address))
+        kind = getattr(library, f"MAVLink_{frame.name}_message")
+        packet = kind(**frame.fields).pack(sender)
+        sender.seq = (sender.seq + 1) % 256
+        parts.append(pack(">Q", frame.host_us) + packet)
+    return b"".join(parts)
+
+
+def scaled_pressure(
+    host_us: int,
+    boot_ms: int,
+    system: int = 1,
+    component: int = 1,
+) -> Frame:
+    fields = {
+        "time_boot_ms": boot_ms,
         "press_abs": 700.0,
         "press_diff": 0.0,
         "temperature": 4500,
         "temperature_press_diff": 0,
     }
+    return Frame(host_us, "scaled_pressure", fields, system, component)
 
 
 def boots_of_telemetry(n: int) -> bytes:
@@ -389,11 +477,11 @@ def boots_of_telemetry(n: int) -> bytes:
     frames = []
     for boot in range(n):
         for k in range(6):
-            ms = 5000 + 200 * k
+            boot_ms = 5000 + 200 * k
             host_us = HOST_US + 60_000_000 * boot + 200_000 * k
-            utc = {"time_unix_usec": host_us, "time_boot_ms": ms}
-            frames.append((1, 1, host_us, utc, "system_time"))
-            frames.append((1, 1, host_us + 1, pressure_fields(ms), "scaled_pressure"))
+            utc = {"time_unix_usec": host_us, "time_boot_ms": boot_ms}
+            frames.append(Frame(host_us, "system_time", utc))
+            frames.append(scaled_pressure(host_us + 1, boot_ms))
     return telemetry(frames)
 
 
@@ -401,9 +489,15 @@ def many_senders(n: int) -> bytes:
     """n systems and components with a row each."""
     frames = []
     for k in range(n):
-        host_us = HOST_US + 1000 * k
+        system = 1 + k // 250 % 250
+        component = 1 + k % 250
         frames.append(
-            (1 + k // 250 % 250, 1 + k % 250, host_us, pressure_fields(5000 + k), "scaled_pressure")
+            scaled_pressure(
+                HOST_US + 1000 * k,
+                5000 + k,
+                system,
+                component,
+            )
         )
     return telemetry(frames)
 
@@ -411,17 +505,25 @@ def many_senders(n: int) -> bytes:
 def unknown_ids(n: int) -> bytes:
     """n messages, and behind each a frame of another id that no dialect has."""
     parts = []
-    known = telemetry(
-        (1, 1, HOST_US + 1000 * k, pressure_fields(5000 + k), "scaled_pressure") for k in range(n)
-    )
-    place = 0
+    frames = telemetry(scaled_pressure(HOST_US + 1000 * k, 5000 + k) for k in range(n))
+    begin = 0
     for k in range(n):
-        end = place + 8 + known[place + 9] + 12  # stamp, payload; header and checksum
-        parts.append(known[place:end])
-        place = end
+        end = begin + 8 + frames[begin + 9] + 12  # stamp, payload; header and checksum
+        parts.append(frames[begin:end])
+        begin = end
         unknown_id = (50_000 + k).to_bytes(3, "little")
-        head = struct.pack(">QBBBBBBB", HOST_US + 1000 * k + 1, 0xFD, 4, 0, 0, k % 256, 1, 1)
-        parts.append(head + unknown_id + b"\1\2\3\4" + b"\5\6")
+        head = pack(
+            ">QBBBBBBB",
+            HOST_US + 1000 * k + 1,
+            0xFD,
+            4,
+            0,
+            0,
+            k % 256,
+            1,
+            1,
+        )
+        parts.append(head + unknown_id + b"\1\2\3\4\5\6")
     return b"".join(parts)
 
 
@@ -429,9 +531,11 @@ def named_values(n: int) -> bytes:
     """n names of values with a row each."""
     frames = []
     for k in range(n):
-        fields = {"time_boot_ms": 5000 + k, "name": f"v{k}".encode(), "value": 1.0}
-        frames.append((1, 1, HOST_US + 1000 * k, fields, "named_value_float"))
-        frames.append((1, 1, HOST_US + 1000 * k + 1, pressure_fields(5000 + k), "scaled_pressure"))
+        host_us = HOST_US + 1000 * k
+        boot_ms = 5000 + k
+        value = {"time_boot_ms": boot_ms, "name": f"v{k}".encode(), "value": 1.0}
+        frames.append(Frame(host_us, "named_value_float", value))
+        frames.append(scaled_pressure(host_us + 1, boot_ms))
     return telemetry(frames)
 
 

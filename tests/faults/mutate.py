@@ -44,20 +44,23 @@ class Recipe(NamedTuple):
 def mutated(data: bytes, kind: int, seed: int) -> bytes:
     """The bytes of a log after one damage."""
     draw = random.Random(seed * len(KINDS) + kind)
-    at = draw.randrange(len(data))
+    place = draw.randrange(len(data))
     name = KINDS[kind]
     if name == "truncate":
-        return data[:at]
+        return data[:place]
     if name == "flip_bit":
-        return data[:at] + bytes([data[at] ^ 1 << draw.randrange(8)]) + data[at + 1 :]
+        flipped = data[place] ^ 1 << draw.randrange(8)
+        return data[:place] + bytes([flipped]) + data[place + 1 :]
     if name == "overwrite_16":
-        return data[:at] + draw.randbytes(len(data[at : at + 16])) + data[at + 16 :]
+        end = min(place + 16, len(data))
+        return data[:place] + draw.randbytes(end - place) + data[end:]
     if name == "zero_4k":
-        return data[:at] + bytes(len(data[at : at + 4096])) + data[at + 4096 :]
-    end = at + draw.randint(1, LONGEST)
+        end = min(place + 4096, len(data))
+        return data[:place] + bytes(end - place) + data[end:]
+    end = place + draw.randint(1, LONGEST)
     if name == "delete":
-        return data[:at] + data[end:]
-    return data[:end] + data[at:]
+        return data[:place] + data[end:]
+    return data[:end] + data[place:]
 
 
 def recipes(files: int, count: int, first_seed: int = 0) -> Iterator[Recipe]:
@@ -106,13 +109,13 @@ def peak_bytes() -> int:
 
 def damage_reported(log: Log) -> bool:
     """Whether a log says that something of it was lost, repaired or is doubtful."""
-    said = any(entry.kind in ("loss", "warning") for entry in log.ledger)
-    return bool(log.bad_bytes or log.lost_messages or said)
+    is_told = any(entry.kind in ("loss", "warning") for entry in log.ledger)
+    return bool(log.bad_bytes or log.lost_messages or is_told)
 
 
 def fewer(log: Log, whole: Log) -> int:
     """How many messages of the whole log are not in this one, type by type."""
-    return sum((Counter(whole.messages) - Counter(log.messages)).values())
+    return (Counter(whole.messages) - Counter(log.messages)).total()
 
 
 def renamed(log: Log, whole: Log) -> bool:
@@ -160,7 +163,8 @@ class Trial:
 
     def run(self, recipe: Recipe) -> str:
         """Read one mutation; how it ended."""
-        return self.examine(recipe.file, mutated(self.logs[recipe.file], *recipe[1:]), recipe)
+        data = mutated(self.logs[recipe.file], recipe.kind, recipe.seed)
+        return self.examine(recipe.file, data, recipe)
 
     def examine(self, file: int, data: bytes, name: object) -> str:
         """Read these bytes in place of a log; how it ended."""
@@ -174,8 +178,9 @@ class Trial:
         except Exception as error:  # whatever it is, it is a bug: that is the test
             end = "failed"
             self.failures.append(f"{name}: {type(error).__name__}: {error}")
-        if peak_bytes() - before > MEMORY_BYTES:
-            self.failures.append(f"{name}: {(peak_bytes() - before) >> 20} MiB more than before")
+        more_bytes = peak_bytes() - before
+        if more_bytes > MEMORY_BYTES:
+            self.failures.append(f"{name}: {more_bytes >> 20} MiB more than before")
         self.ends[end] += 1
         return end
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ import pytest
 from tests import model_files
 from tests.faults.extreme_inputs import impossible_values, with_ledger
 from tests.faults.extreme_tables import NOON_NS
+from tests.faults.mutate import KINDS, limited, mutated, recipes, work_unit_s
 from tests.small_block import SmallBlock
 from unbend.errors import UnbendError
 from unbend.tables.geodata.elevation import open_elevation
@@ -39,9 +40,10 @@ class Kind:
     read: Callable[[Path], object]
 
 
-def write_raster(path: Path, mean: float, spread: float) -> Path:
+def write_raster(folder: Path, mean: float, spread: float) -> Path:
     """A GeoTIFF of random numbers about a mean, in compressed tiles."""
     rasterio = pytest.importorskip("rasterio")
+    path = folder / "heights.tif"
     numbers = mean + spread * np.random.default_rng(1).standard_normal((300, 300))
     profile = {
         "driver": "GTiff",
@@ -62,7 +64,12 @@ def write_raster(path: Path, mean: float, spread: float) -> Path:
 
 
 def read_elevation(path: Path) -> object:
-    model, _ = open_elevation([path], None, reference="msl", undulation=lambda lat, _: 0.0 * lat)
+    model, _ = open_elevation(
+        [path],
+        None,
+        reference="msl",
+        undulation=lambda lat, _: 0.0 * lat,
+    )
     latitude_rad = np.radians(np.linspace(45.5, 47.5, 50))
     longitude_rad = np.radians(np.linspace(8.5, 10.5, 50))
     return model.heights(*model.nodes(latitude_rad, longitude_rad))
@@ -82,6 +89,14 @@ def standard_column(
     falls = np.cumsum(100.0 / scale_height_m)
     pressure_pa = 101_325.0 * np.exp(falls[0] - falls)
     return h_m, temperature_k, pressure_pa, 0.003 * pressure_pa
+
+
+def write_netcdf(folder: Path) -> Path:
+    return model_files.netcdf(folder / "model.nc", weather_model())
+
+
+def write_grib(folder: Path) -> Path:
+    return model_files.grib(folder / "model.grib", weather_model())
 
 
 def weather_model() -> object:
@@ -114,21 +129,11 @@ def read_database(path: Path) -> object:
     return cameras, places, len(rows)
 
 
-KINDS = {
-    "elevation model": Kind(
-        lambda folder: write_raster(folder / "dem.tif", mean=500.0, spread=100.0), read_elevation
-    ),
-    "geoid": Kind(
-        lambda folder: write_raster(folder / "geoid.tif", mean=47.0, spread=3.0), read_undulations
-    ),
-    "netCDF-4": Kind(
-        lambda folder: model_files.netcdf(folder / "model.nc", weather_model()),
-        read_weather_model,
-    ),
-    "GRIB": Kind(
-        lambda folder: model_files.grib(folder / "model.grib", weather_model()),
-        read_weather_model,
-    ),
+FILES = {
+    "elevation model": Kind(partial(write_raster, mean=500.0, spread=100.0), read_elevation),
+    "geoid": Kind(partial(write_raster, mean=47.0, spread=3.0), read_undulations),
+    "netCDF-4": Kind(write_netcdf, read_weather_model),
+    "GRIB": Kind(write_grib, read_weather_model),
     "database of COLMAP": Kind(write_database, read_database),
 }
 READ_SLOWLY = ("netCDF-4", "GRIB")  # half a second each, a twentieth for the others
@@ -136,20 +141,18 @@ READ_SLOWLY = ("netCDF-4", "GRIB")  # half a second each, a twentieth for the ot
 
 # h5netcdf does not clean up behind a file that it cannot open: its `close` fails when collected.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("name", KINDS)
-def test_a_damaged_file_is_read_or_refused(
-    tmp_path: Path, mutate: ModuleType, mutation_count: int, mutation_seed: int, name: str
-) -> None:
-    kind = KINDS[name]
+@pytest.mark.parametrize("name", FILES)
+def test_a_damaged_file_is_read_or_refused(tmp_path, mutation_count, mutation_seed, name):
+    kind = FILES[name]
     path = kind.write(tmp_path)
     sound = path.read_bytes()
     kind.read(path)
-    limit_s = LONGEST_UNITS * mutate.work_unit_s()
+    limit_s = LONGEST_UNITS * work_unit_s()
     count = mutation_count // (100 if name in READ_SLOWLY else 10)
-    for recipe in mutate.recipes(1, count, mutation_seed):
+    for recipe in recipes(1, count, mutation_seed):
         print(name, recipe)
-        path.write_bytes(mutate.mutated(sound, recipe.kind, recipe.seed))
-        with mutate.limited(limit_s):
+        path.write_bytes(mutated(sound, recipe.kind, recipe.seed))
+        with limited(limit_s):
             try:
                 result = kind.read(path)
             except UnbendError as error:
@@ -160,11 +163,11 @@ def test_a_damaged_file_is_read_or_refused(
         assert refusal.remedy
 
 
-def test_a_netcdf_whose_structure_has_no_end_is_refused(tmp_path: Path, mutate: ModuleType) -> None:
+def test_a_netcdf_whose_structure_has_no_end_is_refused(tmp_path):
     """Zeros among the references to dimensions: the HDF5 library looped for ever."""
-    path = model_files.netcdf(tmp_path / "model.nc", weather_model())
-    kind = mutate.KINDS.index("zero_4k")
-    path.write_bytes(mutate.mutated(path.read_bytes(), kind, 33))
+    path = write_netcdf(tmp_path)
+    damaged = mutated(path.read_bytes(), KINDS.index("zero_4k"), 33)
+    path.write_bytes(damaged)
     with pytest.raises(UnbendError, match="does not come to an end") as caught:
         read_weather_model(path)
     assert caught.value.code == "MODEL-UNREADABLE"

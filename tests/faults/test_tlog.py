@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import struct
-from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
+from tests.faults.mutate import Trial, mutated
+from tests.helpers import with_code
 from unbend.errors import LogError
 from unbend.ingest import Log, open_log
 
 STAMP_US = 1_700_000_000_000_000
+YEAR_US = 31_536_000_000_000
 BOOT_UTC_US = STAMP_US - 60_000_000
 REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY"}
 
@@ -111,8 +111,8 @@ def logs() -> list[bytes]:
 
 
 @pytest.fixture(scope="module")
-def trial(mutate: ModuleType, logs: list[bytes], tmp_path_factory: pytest.TempPathFactory):
-    return mutate.Trial(logs, ".tlog", open_log, tmp_path_factory.mktemp("tlog"))
+def trial(logs: list[bytes], tmp_path_factory: pytest.TempPathFactory) -> Trial:
+    return Trial(logs, ".tlog", open_log, tmp_path_factory.mktemp("tlog"))
 
 
 def at_a_boundary(data: bytes, whole: bytes) -> bool:
@@ -122,55 +122,32 @@ def at_a_boundary(data: bytes, whole: bytes) -> bool:
 
 def frames_of(data: bytes) -> list[bytes]:
     frames = []
-    at = 0
-    while at < len(data):
-        two = data[at + 8] == 0xFD
-        end = at + 8 + data[at + 9] + (12 if two else 8)
-        frames.append(data[at:end])
-        at = end
+    begin = 0
+    while begin < len(data):
+        two = data[begin + 8] == 0xFD
+        end = begin + 8 + data[begin + 9] + (12 if two else 8)
+        frames.append(data[begin:end])
+        begin = end
     return frames
 
 
-def test_mutations(
-    trial,
-    mutate: ModuleType,
-    logs: list[bytes],
-    mutation_count: int,
-    mutation_seed: int,
-    record_property: Callable[[str, object], None],
-) -> None:
-    for recipe in mutate.recipes(len(logs), mutation_count, mutation_seed):
-        trial.run(recipe)
-    record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
-    assert not trial.failures, trial.summary()
+def test_mutations(trial, run_mutations, mutation_count):
+    run_mutations(trial)
+
     assert set(trial.ends) <= {"complete", "reported", "unreported"} | REFUSALS
     assert len(trial.unreported) <= 0.01 * mutation_count, trial.unreported
     for recipe in trial.unreported:
-        data = mutate.mutated(logs[recipe.file], *recipe[1:])
-        assert at_a_boundary(data, logs[recipe.file]), recipe
+        whole = trial.logs[recipe.file]
+        data = mutated(whole, recipe.kind, recipe.seed)
+        assert at_a_boundary(data, whole), recipe
 
 
-def test_failures_found_once_stay_away(trial, mutate: ModuleType, corpus) -> None:
-    before = list(trial.failures)
-    for name, recipe in corpus.get("tlog", []):
-        assert trial.run(mutate.Recipe(*recipe)) in {"complete", "reported"} | REFUSALS, name
-    assert trial.failures == before
+def test_every_cut_of_the_first_and_last_1000_bytes(trial, run_cuts):
+    ends = run_cuts(trial)
 
-
-def test_every_cut_of_the_first_and_last_1000_bytes(
-    trial, logs: list[bytes], cuts: list[int]
-) -> None:
-    file = 0
-    data = logs[0]
-    before = Counter(trial.ends)
-    for count in cuts:
-        trial.examine(file, data[count:], f"first {count} bytes cut")
-        trial.examine(file, data[:-count], f"last {count} bytes cut")
-    assert not trial.failures, trial.summary()
-    ends = trial.ends - before
     # a log that begins or ends at a frame is whole by all that it says; there are 20 each way
     assert set(ends) <= {"reported", "unreported", "LOG-FORMAT"}
-    assert ends["unreported"] <= 0.08 * len(cuts) + 4
+    assert ends["unreported"] <= 0.04 * ends.total() + 4
 
 
 def read(path: Path, data: bytes) -> Log:
@@ -179,34 +156,41 @@ def read(path: Path, data: bytes) -> Log:
 
 
 @pytest.mark.parametrize("junk", [b"", b"\xfd\xfe" * 3000, bytes(9000), bytes(range(256)) * 40])
-def test_what_is_no_log_is_refused(tmp_path: Path, junk: bytes) -> None:
+def test_what_is_no_log_is_refused(tmp_path, junk):
     with pytest.raises(LogError) as caught:
         read(tmp_path / "junk.tlog", junk)
     assert caught.value.code in REFUSALS
 
 
-def test_a_log_that_another_log_was_sent_through(tmp_path: Path, logs: list[bytes]) -> None:
+def test_a_log_that_another_log_was_sent_through(tmp_path, logs):
     """Frames inside a payload are not frames, whatever their checksum says."""
     from pymavlink.dialects.v20 import all as library
 
-    inner = frames_of(logs[0])[7]
-    outer = library.MAVLink_data96_message(
-        type=1, len=len(inner), data=list(inner.ljust(96, b"\0"))
-    ).pack(library.MAVLink(None, 9, 9))
     frames = frames_of(logs[0])
-    frames.insert(50, frames[50][:8] + outer)
-    whole, log = (read(tmp_path / "a.tlog", data) for data in (logs[0], b"".join(frames)))
+    inner = frames[7]
+    payload = list(inner.ljust(96, b"\0"))
+    outer = library.MAVLink_data96_message(type=1, len=len(inner), data=payload)
+    stamp = frames[50][:8]
+    frames.insert(50, stamp + outer.pack(library.MAVLink(None, 9, 9)))
+
+    whole = read(tmp_path / "a.tlog", logs[0])
+    log = read(tmp_path / "a.tlog", b"".join(frames))
+
     assert dict(log.messages) == dict(whole.messages) | {"DATA96": 1}
 
 
-def test_a_stray_host_stamp_is_mended_and_counted(tmp_path: Path, logs: list[bytes]) -> None:
+def test_a_stray_host_stamp_is_mended_and_counted(tmp_path, logs):
+    whole = read(tmp_path / "a.tlog", logs[0])
     frames = frames_of(logs[0])
     row = next(k for k, frame in enumerate(frames) if k > 60 and frame[15] == 74)
-    for year in (-1, 3):
-        moved = struct.unpack(">Q", frames[row][:8])[0] + year * 31_536_000_000_000
-        data = b"".join(frames[:row]) + struct.pack(">Q", moved) + b"".join(frames[row:])[8:]
-        whole, log = (read(tmp_path / "a.tlog", part) for part in (logs[0], data))
-        stray = [entry for entry in log.ledger if entry.code == "TIME-STRAY"]
-        assert [(entry.kind, entry.count) for entry in stray] == [("loss", 1)]
+    frame = frames[row]
+    (stamp_us,) = struct.unpack_from(">Q", frame)
+    for years in (-1, 3):
+        moved_us = stamp_us + years * YEAR_US
+        frames[row] = struct.pack(">Q", moved_us) + frame[8:]
+        log = read(tmp_path / "a.tlog", b"".join(frames))
+        (stray,) = with_code(log.ledger, "TIME-STRAY")
+        assert stray.kind == "loss"
+        assert stray.count == 1
         late = log.channel("VFR_HUD").time_ns - whole.channel("VFR_HUD").time_ns
         assert abs(late).max() < 1_000_000

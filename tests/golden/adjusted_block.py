@@ -6,7 +6,6 @@ The truth is the simulator's ray, an ODE, through real soundings; only `correct`
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,12 +33,15 @@ from unbend.simulate.optics import (
     unit,
 )
 
+from .bundle_adjustment import Adjustment
+
 FOCAL_PX = 20_000.0  # 100 mm, pixels of 5 um
 POINTS = 300
 FEWEST = 12  # observations an image
 GNSS_M = (0.03, 0.03, 0.05)
 SIGMA_PX = 0.3  # of tie points; pycolmap counts in whole pixels
 US1976 = standard_atmosphere("us1976")
+Array = np.ndarray
 
 
 class RealAir(flights.Truth):
@@ -49,12 +51,11 @@ class RealAir(flights.Truth):
         step = 20.0
         h = np.arange(balloon.H[0], balloon.H[0] + 10_800.0, step)
 
-        def smooth(values: np.ndarray) -> np.ndarray:
+        def smooth(values: Array) -> Array:
             return gaussian_filter1d(np.interp(h, balloon.H, values), 100.0 / step, mode="nearest")
 
-        super().__init__(
-            replace(balloon, H=h, t=smooth(balloon.t), e=np.exp(smooth(np.log(balloon.e))))
-        )
+        vapour = np.exp(smooth(np.log(balloon.e)))
+        super().__init__(replace(balloon, H=h, t=smooth(balloon.t), e=vapour))
         every = slice(None, None, round(step))
         self._index = make_interp_spline(self.h[every], self.refractivity[every], k=7)
 
@@ -63,10 +64,10 @@ class RealAir(flights.Truth):
         """Height of the ground above sea level [m]: its first level, and a camera may hang low."""
         return float(self.h[0]) + 5.0
 
-    def n(self, h_m: np.ndarray) -> np.ndarray:
+    def n(self, h_m: Array) -> Array:
         return 1.0 + self._index(h_m)
 
-    def dn_dh(self, h_m: np.ndarray) -> np.ndarray:
+    def dn_dh(self, h_m: Array) -> Array:
         return self._index(h_m, 1)
 
     def profile(self) -> Profile:
@@ -77,11 +78,19 @@ class RealAir(flights.Truth):
     def adjusted_profile(self, climb: float, rng: np.random.Generator) -> Profile:
         """What the package makes of a flight's sensors, drawn with bias, lag, drift and noise."""
         samples = flights.fly(self, climb, flights.drawn(rng), rng, descent=True)
-        month = month_of(self.start_ns)
-        background = climatology(latitude_rad=self.latitude, month=month, ground_h_m=self.ground)
-        return build_adjusted_profile(
-            samples, US1976, self.latitude, Ledger(), background=background
-        ).profile
+        background = climatology(
+            latitude_rad=self.latitude,
+            month=month_of(self.start_ns),
+            ground_h_m=self.ground,
+        )
+        adjusted = build_adjusted_profile(
+            samples,
+            US1976,
+            self.latitude,
+            Ledger(),
+            background=background,
+        )
+        return adjusted.profile
 
 
 def real_airs() -> list[RealAir]:
@@ -90,9 +99,16 @@ def real_airs() -> list[RealAir]:
 
 def heads(tilt_deg: float = 45.0) -> tuple[SimulatedCamera, ...]:
     """A nadir camera and four that look out to all sides."""
-    sides = {"nadir": (0, 0), "left": (1, 0), "right": (-1, 0), "fore": (0, 1), "aft": (0, -1)}
-    return tuple(
-        SimulatedCamera(
+    sides = {
+        "nadir": (0, 0),
+        "left": (1, 0),
+        "right": (-1, 0),
+        "fore": (0, 1),
+        "aft": (0, -1),
+    }
+    cameras = []
+    for name, (roll, pitch) in sides.items():
+        camera = SimulatedCamera(
             name,
             0,
             FOCAL_PX,
@@ -103,8 +119,8 @@ def heads(tilt_deg: float = 45.0) -> tuple[SimulatedCamera, ...]:
             (0.0,) * 3,
             pitch_deg=pitch * tilt_deg,
         )
-        for name, (roll, pitch) in sides.items()
-    )
+        cameras.append(camera)
+    return tuple(cameras)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,30 +133,30 @@ class Block:
     seen: TrueObservations
 
     @property
-    def measured(self) -> np.ndarray:
+    def measured(self) -> Array:
         """(n, 2) pixels, bent."""
         return np.stack([self.seen.x_px, self.seen.y_px], axis=1)
 
     @property
-    def straight(self) -> np.ndarray:
+    def straight(self) -> Array:
         """(n, 2) pixels of the straight chords."""
         return np.stack([self.seen.x_true_px, self.seen.y_true_px], axis=1)
 
-    def local(self, ecef: np.ndarray) -> np.ndarray:
+    @property
+    def foot(self) -> tuple[float, float]:
+        """Latitude and longitude [rad] of the first station."""
+        return self.stations.lat_rad[0], self.stations.lon_rad[0]
+
+    def local(self, ecef: Array) -> Array:
         """(n, 3) east, north, up at the foot of the first station."""
-        return (ecef - self._foot[0]) @ self._foot[1].T
+        origin = to_ecef(*self.foot, np.array(0.0))
+        return (ecef - origin) @ enu_axes(*self.foot).T
 
     @property
-    def local_rotation(self) -> np.ndarray:
+    def local_rotation(self) -> Array:
         """(s, 3, 3) from these axes to the cameras."""
         s = self.stations
-        return s.camera_from_enu @ enu_axes(s.lat_rad, s.lon_rad) @ self._foot[1].T
-
-    @property
-    def _foot(self) -> tuple[np.ndarray, np.ndarray]:
-        lat = self.stations.lat_rad[0]
-        lon = self.stations.lon_rad[0]
-        return to_ecef(lat, lon, np.array(0.0)), enu_axes(lat, lon)
+        return s.camera_from_enu @ enu_axes(s.lat_rad, s.lon_rad) @ enu_axes(*self.foot).T
 
 
 def fly_block(
@@ -163,27 +179,29 @@ def fly_block(
     count = lines * shots
     # 60 % forward and 30 % side overlap of 0.53 by 0.70 of the height; lines fly east and west.
     line, shot = (grid.ravel() for grid in np.mgrid[:lines, :shots])
-    x, y = (
-        height * (a + rng.normal(0.0, 0.01, count))
-        for a in (0.212 * (shot - 0.5 * (shots - 1)), 0.49 * (line - 0.5 * (lines - 1)))
-    )
+    along = 0.212 * (shot - 0.5 * (shots - 1))
+    across = 0.49 * (line - 0.5 * (lines - 1))
+    x = height * (along + rng.normal(0.0, 0.01, count))
+    y = height * (across + rng.normal(0.0, 0.01, count))
     h = air.ground + height * (1.0 + rng.normal(0.0, 0.003, count))
-    angles = rng.normal(0.0, 0.02, (count, 3)) + np.outer(
-        np.where(line % 2, 1.5, 0.5), [0, 0, np.pi]
-    )
+    angles = rng.normal(0.0, 0.02, (count, 3))
+    angles[:, 2] += np.pi * np.where(line % 2, 1.5, 0.5)
     body = np.stack([body_rotation(*a).T @ NED_FROM_ENU for a in angles])
     centre, lat, lon = _places(air.latitude, x, y, h)
-    many = len(cameras)
-    camera = np.repeat(np.arange(many), count)
-    place = np.tile(np.arange(count), many)
+    camera = np.repeat(np.arange(len(cameras)), count)
+    place = np.tile(np.arange(count), len(cameras))
     rotation = np.concatenate([c.from_body() @ body for c in cameras])
 
-    px, py = (rng.uniform(-reach, reach, POINTS) * height for reach in (0.5, 0.85))
+    px = height * rng.uniform(-0.5, 0.5, POINTS)
+    py = height * rng.uniform(-0.85, 0.85, POINTS)
     ph = air.ground + rng.uniform(0.0, 300.0, POINTS)
     ground, *angle = _places(air.latitude, px, py, ph)
-    points = GroundPoints(tuple(f"p{i}" for i in range(POINTS)), *angle, ph, ground)
+    names = tuple(f"p{i}" for i in range(POINTS))
+    points = GroundPoints(names, *angle, ph, ground)
+
     chord = unit(ground[None] - centre[:, None])[place]
-    rays = np.einsum("sij,sjk,spk->spi", rotation, enu_axes(lat, lon)[place], chord)
+    axes = enu_axes(lat, lon)[place]
+    rays = np.einsum("sij,sjk,spk->spi", rotation, axes, chord)
     seen = np.stack([cameras[c].sees(r) for c, r in zip(camera, rays, strict=True)])
     # So many points drawn in each image, and of these the ones that another image has too.
     chance = np.where(seen, rng.random(seen.shape), 2.0)
@@ -193,10 +211,18 @@ def fly_block(
     camera = camera[kept]
     place = place[kept]
     rotation = rotation[kept]
+
     unused = np.zeros(place.size)
-    state = AirState(unused, unused, unused, unused, air.n(h[place]))  # the same in the cabin
+    state = AirState(
+        unused,
+        unused,
+        unused,
+        unused,
+        air.n(h[place]),  # the same in the cabin
+    )
+    images = zip(camera, place, strict=True)
     stations = TrueStations(
-        tuple(f"{cameras[c].name}_{p:02d}" for c, p in zip(camera, place, strict=True)),
+        tuple(f"{cameras[c].name}_{p:02d}" for c, p in images),
         camera,
         unused.astype(np.int64),
         centre[place],
@@ -209,35 +235,60 @@ def fly_block(
         state,
     )
     station, point = np.nonzero(seen)
-    rays_ = observe(air, stations, points, cameras, station=station, point=point)
-    assert rays_.miss_m.max() < 1e-6
-    return Block(cameras, stations, points, rays_)
+    observations = observe(
+        air,
+        stations,
+        points,
+        cameras,
+        station=station,
+        point=point,
+    )
+    assert observations.miss_m.max() < 1e-6
+    return Block(cameras, stations, points, observations)
 
 
 def _places(
-    latitude: float, x: np.ndarray, y: np.ndarray, h_msl: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    latitude: float,
+    x: Array,
+    y: Array,
+    h_msl: Array,
+) -> tuple[Array, Array, Array]:
     """ECEF, latitude and longitude of places about x east, y north [m] of a latitude [rad]."""
     lat = latitude + y / 6.37e6
     lon = 0.15 + x / (6.38e6 * np.cos(latitude))
-    ecef = to_ecef(lat, lon, h_msl + UNDULATION_M)
-    assert np.allclose(height_and_up(ecef)[0], h_msl + UNDULATION_M, atol=1e-6)
+    h_ellipsoid = h_msl + UNDULATION_M
+    ecef = to_ecef(lat, lon, h_ellipsoid)
+    assert np.allclose(height_and_up(ecef)[0], h_ellipsoid, atol=1e-6)
     return ecef, lat, lon
 
 
-def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) -> np.ndarray:
+def correct(block: Block, profile: Profile, pixels: Array | None = None) -> Array:
     """(n, 2) pixels that the package makes of the measured ones, or of others beside them."""
-    pixels = block.measured if pixels is None else pixels
+    if pixels is None:
+        pixels = block.measured
     s = block.stations
     seen = block.seen
     n = profile.refractivity(s.h_msl_m)
-    usable = np.ones(n.size, bool)
-    exposures = Exposures(usable, s.camera_from_enu, s.lat_rad, s.h_msl_m, n, n)
+    exposures = Exposures(
+        np.ones(n.size, bool),
+        s.camera_from_enu,
+        s.lat_rad,
+        s.h_msl_m,
+        n,
+        n,
+    )
     table = ray_table(profile)
     corrected = np.empty_like(pixels)
     for number, c in enumerate(block.cameras):
         rows = s.camera[seen.station] == number
-        camera = Camera(c.width_px, c.height_px, c.focal_px, c.focal_px, c.cx_px, c.cy_px)
+        camera = Camera(
+            c.width_px,
+            c.height_px,
+            c.focal_px,
+            c.focal_px,
+            c.cx_px,
+            c.cy_px,
+        )
         done = correct_observations(
             *pixels[rows].T.copy(),
             block.points.h_msl_m[seen.point[rows]],
@@ -247,16 +298,15 @@ def correct(block: Block, profile: Profile, pixels: np.ndarray | None = None) ->
             table=table,
         )
         assert not done.status.any()
-        corrected[rows] = np.stack([done.x_corrected_px, done.y_corrected_px], axis=1)
+        corrected[rows] = np.column_stack([done.x_corrected_px, done.y_corrected_px])
     return corrected
 
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """Errors (n, 3) east, north, up [m] of points that are no control, and of the cameras."""
+    """Errors (n, 3) east, north, up [m] of points that are not control, and the cameras."""
 
-    error: np.ndarray
-    centre_error: np.ndarray
+    error: Array
     interior: dict[int, list[float]]
 
     @property
@@ -267,7 +317,7 @@ class Adjusted:
 
 def adjust(
     block: Block,
-    pixels: np.ndarray,
+    pixels: Array,
     *,
     control: int = 0,
     gnss: bool = False,
@@ -282,79 +332,92 @@ def adjust(
     """
     s = block.stations
     seen = block.seen
-    model = pycolmap.Reconstruction()
+    adjustment = Adjustment()
     for number, c in enumerate(block.cameras, start=1):
-        params = [c.focal_px, c.cx_px, c.cy_px, 0.0, 0.0] if interior is None else interior[number]
-        model.add_camera_with_trivial_rig(
-            pycolmap.Camera(
-                model="RADIAL",
-                width=c.width_px,
-                height=c.height_px,
-                params=params,
-                camera_id=number,
-            )
+        params = [c.focal_px, c.cx_px, c.cy_px, 0.0, 0.0]
+        if interior is not None:
+            params = interior[number]
+        camera = pycolmap.Camera(
+            model="RADIAL",
+            width=c.width_px,
+            height=c.height_px,
+            params=params,
+            camera_id=number,
         )
-    config = pycolmap.BundleAdjustmentConfig()
-    priors = []
+        adjustment.add_camera(camera, constant=not calibrate)
     centre = block.local(s.ecef_m)
     true = block.local(block.points.ecef_m)
-    tracks: list[list[pycolmap.TrackElement]] = [[] for _ in true]
+    priors = []
     for k, rotation in enumerate(block.local_rotation):
-        rows = np.flatnonzero(seen.station == k)
-        image = pycolmap.Image(
-            name=s.image[k], keypoints=pixels[rows], camera_id=int(s.camera[k]) + 1, image_id=k + 1
+        rows = seen.station == k
+        image = adjustment.add_image(
+            s.image[k],
+            int(s.camera[k]) + 1,
+            pixels[rows],
+            seen.point[rows].tolist(),
+            rotation,
+            centre[k],
         )
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ centre[k])
-        model.add_image_with_trivial_frame(image, pose)
-        config.add_image(k + 1)
-        priors.append(
-            pycolmap.PosePrior(
-                corr_data_id=image.data_id,
-                position=centre[k],
-                position_covariance=(np.diag(GNSS_M) / SIGMA_PX) ** 2,
-                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
-            )
+        prior = pycolmap.PosePrior(
+            corr_data_id=image.data_id,
+            position=centre[k],
+            position_covariance=(np.diag(GNSS_M) / SIGMA_PX) ** 2,
+            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
         )
-        for i, row in enumerate(rows):
-            tracks[seen.point[row]].append(pycolmap.TrackElement(k + 1, i))
-    ids = {
-        p: model.add_point3D(true[p], pycolmap.Track(track))
-        for p, track in enumerate(tracks)
-        if track
-    }
-    held = _control(true, sorted(ids, key=lambda p: -len(tracks[p]))[: len(ids) // 2])[:control]
-    for p in held:
-        config.add_constant_point(ids[p])
-    options = pycolmap.BundleAdjustmentOptions()
-    options.print_summary = False
+        priors.append(prior)
+
+    tracks = adjustment.tracks
+    points = sorted(tracks)
+    often_seen = sorted(points, key=lambda p: -len(tracks[p]))[: len(points) // 2]
+    fixed = _control(true, often_seen)[:control]
+    for p in points:
+        adjustment.add_point(p, true[p], constant=p in fixed)
+
+    options = adjustment.options
     options.refine_rig_from_world = bool(control or gnss)
     options.ceres.solver_options.num_threads = 1
-    options.ceres.solver_options.gradient_tolerance = 1e-10
-    options.ceres.solver_options.function_tolerance = 1e-12
-    if not calibrate:
-        for number in model.cameras:
-            config.set_constant_cam_intrinsics(number)
+    adjustment.converge_tightly()
     if gnss:
         prior_options = pycolmap.PosePriorBundleAdjustmentOptions()
         prior_options.alignment_ransac.max_error = 1.0
         prior_options.alignment_ransac.random_seed = 0
         solver = pycolmap.create_pose_prior_bundle_adjuster(
-            options, prior_options, config, priors, model
+            options,
+            prior_options,
+            adjustment.config,
+            priors,
+            adjustment.model,
         )
+        adjustment.solve(solver)
     else:
-        solver = pycolmap.create_default_bundle_adjuster(options, config, model)
-    solver.solve()
-    check = [p for p in ids if p not in held]
-    places = np.array([model.points3D[ids[p]].xyz for p in check])
-    centres = np.array([model.images[k + 1].projection_center() for k in range(len(s.image))])
-    cameras = {number: list(camera.params) for number, camera in model.cameras.items()}
-    return Adjusted(places - true[check], centres - centre, cameras)
+        adjustment.solve()
+    error = [adjustment.position(p) - true[p] for p in points if p not in fixed]
+    cameras = adjustment.model.cameras
+    params = {number: list(camera.params) for number, camera in cameras.items()}
+    return Adjusted(np.array(error), params)
 
 
-def _control(true: np.ndarray, usable: list[int]) -> list[int]:
-    """Of some points, those nearest to the nodes of a 3 x 3 grid over the block: corners first."""
-    low = true[:, :2].min(axis=0)
-    high = true[:, :2].max(axis=0)
-    nodes = sorted(itertools.product((0.1, 0.5, 0.9), repeat=2), key=lambda n: n.count(0.5))
-    gaps = (np.linalg.norm(true[usable, :2] - low - n * (high - low), axis=1) for n in nodes)
-    return list(dict.fromkeys(usable[int(np.argmin(gap))] for gap in gaps))
+# Nodes of a grid over the block, in parts of its size: corners first.
+NODES = np.array(
+    [
+        [0.1, 0.1],
+        [0.1, 0.9],
+        [0.9, 0.1],
+        [0.9, 0.9],
+        [0.1, 0.5],
+        [0.5, 0.1],
+        [0.5, 0.9],
+        [0.9, 0.5],
+        [0.5, 0.5],
+    ]
+)
+
+
+def _control(true: Array, usable: list[int]) -> list[int]:
+    """Of some points, those nearest to the nodes."""
+    plane = true[:, :2]
+    low = plane.min(axis=0)
+    size = np.ptp(plane, axis=0)
+    gaps = plane[usable] - (low + NODES * size)[:, None]
+    nearest = np.linalg.norm(gaps, axis=2).argmin(axis=1)
+    return list(dict.fromkeys(usable[k] for k in nearest))

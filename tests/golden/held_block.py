@@ -44,6 +44,11 @@ FIVE = NADIR | {
 }
 LATITUDE = 0.83
 LONGITUDE = 0.15
+METRES_NORTH = 6.37e6  # of a radian
+METRES_EAST = 6.38e6 * np.cos(LATITUDE)
+IMAGES = 20  # of each head: four lines of five
+POINTS = 300
+Array = np.ndarray
 
 
 class TrueIndex:
@@ -52,7 +57,11 @@ class TrueIndex:
     def __init__(self) -> None:
         h = np.arange(-300.0, 12_000.0, 20.0)
         air = standard_atmosphere("us1976")
-        self.spline = make_interp_spline(h, air.refractivity(h), k=7)
+        self.spline = make_interp_spline(
+            h,
+            air.refractivity(h),
+            k=7,
+        )
 
     def n(self, h_m):
         return 1.0 + self.spline(h_m)
@@ -65,21 +74,21 @@ class TrueIndex:
 class HeldBlock:
     """(s,) images and (p,) points, earth-centred; (r,) rows of what was measured."""
 
-    image: np.ndarray
-    camera: np.ndarray
-    centre: np.ndarray
-    camera_from_enu: np.ndarray
-    point: np.ndarray
-    place: np.ndarray
+    image: Array
+    camera: Array
+    centre: Array
+    camera_from_enu: Array
+    point: Array
+    place: Array
     rows: pd.DataFrame  # image, point (numbers), x_px, y_px, h_g_m
 
-    def in_frame(self, ecef: np.ndarray) -> np.ndarray:
+    def in_frame(self, ecef: Array) -> Array:
         """(n, 3) east, north, up [m] about the middle of the block at sea level."""
         origin = to_ecef(LATITUDE, LONGITUDE, np.array(0.0))
         return (ecef - origin) @ enu_axes(LATITUDE, LONGITUDE).T
 
     @property
-    def camera_from_frame(self) -> np.ndarray:
+    def camera_from_frame(self) -> Array:
         return self.camera_from_enu @ axes_at(self.centre) @ enu_axes(LATITUDE, LONGITUDE).T
 
 
@@ -92,16 +101,22 @@ def brown(x, y, k1, k2, p1, p2, k3):
     return u, v
 
 
-def distorted(tangents: np.ndarray) -> np.ndarray:
+def distorted(tangents: Array) -> Array:
     """(n, 2) pixels of tangents right and down."""
     u, v = brown(*tangents.T, *LENS)
-    return np.stack([FOCAL * u + CX, FOCAL * v + CY], axis=1)
+    return FOCAL * np.column_stack([u, v]) + [CX, CY]
 
 
-def axes_at(ecef: np.ndarray) -> np.ndarray:
+def axes_at(ecef: Array) -> Array:
     """(n, 3, 3) the axes east, north, up of earth-centred places."""
-    up = height_and_up(ecef)[1]
-    return enu_axes(np.arcsin(up[:, 2]), np.arctan2(up[:, 1], up[:, 0]))
+    _, up = height_and_up(ecef)
+    return enu_axes(*angles_of(up))
+
+
+def angles_of(up: Array) -> tuple[Array, Array]:
+    """Latitude and longitude [rad] of verticals."""
+    x, y, z = up.T
+    return np.arcsin(z), np.arctan2(y, x)
 
 
 def fly(
@@ -114,7 +129,7 @@ def fly(
     ground: float = 200.0,
     relief: float = 300.0,
 ) -> HeldBlock:
-    """20 images of each head, which is mounted with a roll and a pitch [deg]; 300 points.
+    """20 images of each head, which is mounted with a roll and a pitch [deg], over 300 points.
 
     These lie 0 to ``relief`` above ``ground``, which is above sea level. Lines fly east and west in
     turn; roll and pitch of the flight are uniform within ``wobble_deg``, so that the tilt of an
@@ -126,61 +141,96 @@ def fly(
     north = 0.49 * above * (line - 1.5)
     heading = np.where(line % 2, -0.5, 0.5) * np.pi
     image = []
-    camera = []
     centre = []
     rotation = []
     for name, mount in heads.items():
         mounted = body_rotation(*np.radians(mount), 0.0)
-        for i in range(20):
+        for i in range(IMAGES):
             # One height away from what a head looks at that looks 45 degrees aside.
-            axis = NED_FROM_ENU.T @ body_rotation(0.0, 0.0, heading[i]) @ mounted[:, 2]
-            x = east[i] + above * axis[0] / axis[2] + rng.normal(0.0, 0.01 * above)
-            y = north[i] + above * axis[1] / axis[2] + rng.normal(0.0, 0.01 * above)
-            lat = LATITUDE + y / 6.37e6
-            lon = LONGITUDE + x / (6.38e6 * np.cos(LATITUDE))
-            h = ground + UNDULATION_M + above * (1.0 + rng.normal(0.0, 0.003))
+            level = body_rotation(0.0, 0.0, heading[i])
+            axis = NED_FROM_ENU.T @ level @ mounted[:, 2]
+            aside = above * axis[:2] / axis[2] + rng.normal(0.0, 0.01 * above, 2)
+            x = east[i] + aside[0]
+            y = north[i] + aside[1]
+            h_msl = ground + above * (1.0 + rng.normal(0.0, 0.003))
             roll, pitch = np.radians(rng.uniform(-wobble_deg, wobble_deg, 2))
             body = body_rotation(roll, pitch, heading[i]) @ mounted
             image.append(f"{name}_{i:02d}")
-            camera.append(name)
-            centre.append(to_ecef(lat, lon, np.array(h)))
+            centre.append(ecef_of(x, y, h_msl))
             rotation.append(CAMERA_FROM_BODY @ (NED_FROM_ENU.T @ body).T)
     reach = 0.5 * above
-    x = rng.uniform(-reach, reach, 300)
-    y = rng.uniform(-1.6 * reach, 1.6 * reach, 300)
-    h_g = ground + rng.uniform(0.0, relief, 300)
-    place = to_ecef(
-        LATITUDE + y / 6.37e6, LONGITUDE + x / (6.38e6 * np.cos(LATITUDE)), h_g + UNDULATION_M
-    )
+    x = rng.uniform(-reach, reach, POINTS)
+    y = rng.uniform(-1.6 * reach, 1.6 * reach, POINTS)
+    h_g_m = ground + rng.uniform(0.0, relief, POINTS)
     block = HeldBlock(
-        np.array(image),
-        np.array(camera),
-        np.array(centre),
-        np.array(rotation),
-        np.array([f"p{i}" for i in range(300)]),
-        place,
-        pd.DataFrame(),
+        image=np.array(image),
+        camera=np.repeat(list(heads), IMAGES),
+        centre=np.array(centre),
+        camera_from_enu=np.array(rotation),
+        point=np.array([f"p{i}" for i in range(POINTS)]),
+        place=ecef_of(x, y, h_g_m),
+        rows=pd.DataFrame(),
     )
+    station, point = pairs_in_view(block, each, rng)
+    rows = measured(block, station, point).assign(h_g_m=h_g_m[point])
+    is_tied = rows.duplicated("point", keep=False)
+    block.rows = rows[is_tied].reset_index(drop=True)
+    return block
+
+
+def ecef_of(
+    x: Array,
+    y: Array,
+    h_msl_m: Array,
+) -> Array:
+    """Earth-centred places x east and y north [m] of the middle of the block."""
+    lat = LATITUDE + y / METRES_NORTH
+    lon = LONGITUDE + x / METRES_EAST
+    return to_ecef(lat, lon, np.asarray(h_msl_m + UNDULATION_M))
+
+
+def pairs_in_view(
+    block: HeldBlock,
+    each: int,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Numbers of images and of points well inside them, at most so many of each image."""
     axes = axes_at(block.centre)
-    chosen = []
-    for k in range(len(image)):
-        ray = (unit(place - block.centre[k]) @ axes[k].T) @ block.camera_from_enu[k].T
+    pairs = []
+    for k, centre in enumerate(block.centre):
+        chord = unit(block.place - centre) @ axes[k].T
+        ray = chord @ block.camera_from_enu[k].T
         with np.errstate(divide="ignore", invalid="ignore"):
-            pixel = distorted(ray[:, :2] / ray[:, 2:])
-        inside = np.all((pixel > 80) & (pixel < [WIDTH - 80, HEIGHT - 80]), axis=1)
-        inside &= (ray[:, 2] > 0.5) & (np.abs(ray[:, :2]) < 0.6 * ray[:, 2:]).all(axis=1)
-        seen = rng.permutation(np.flatnonzero(inside))[:each]
-        chosen += [(k, p) for p in seen]
-    station, point = np.array(chosen).T
-    rays = shoot(TrueIndex(), block.centre[station], place[point], UNDULATION_M)
-    to_camera = block.camera_from_enu[station] @ axes[station]
+            tangent = ray[:, :2] / ray[:, 2:]
+        pixel = distorted(tangent)
+        inside = (pixel > 80) & (pixel < [WIDTH - 80, HEIGHT - 80])
+        narrow = np.abs(tangent) < 0.6
+        ahead = ray[:, 2] > 0.5
+        usable = ahead & np.all(inside & narrow, axis=1)
+        seen = rng.permutation(np.flatnonzero(usable))[:each]
+        pairs += [(k, p) for p in seen]
+    station, point = np.array(pairs).T
+    return station, point
+
+
+def measured(
+    block: HeldBlock,
+    station: Array,
+    point: Array,
+) -> pd.DataFrame:
+    """What these images see of these points, along bent rays."""
+    centre = block.centre[station]
+    rays = shoot(
+        TrueIndex(),
+        centre,
+        block.place[point],
+        UNDULATION_M,
+    )
+    to_camera = block.camera_from_enu[station] @ axes_at(centre)
     apparent = np.einsum("nij,nj->ni", to_camera, rays.apparent)
     pixel = distorted(apparent[:, :2] / apparent[:, 2:])
-    columns = {"image": station, "point": point, "h_g_m": h_g[point]}
-    block.rows = pd.DataFrame(columns).assign(x_px=pixel[:, 0], y_px=pixel[:, 1])
-    several = block.rows.groupby("point")["point"].transform("size") > 1
-    block.rows = block.rows[several].reset_index(drop=True)
-    return block
+    rows = pd.DataFrame(pixel, columns=["x_px", "y_px"])
+    return rows.assign(image=station, point=point)
 
 
 def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
@@ -191,21 +241,23 @@ def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
     stations = pd.DataFrame(quaternions, columns=["q_w", "q_x", "q_y", "q_z"])
     stations["image"] = block.image
     stations["camera"] = block.camera
-    stations["latitude"] = np.degrees(np.arcsin(up[:, 2]))
-    stations["longitude"] = np.degrees(np.arctan2(up[:, 1], up[:, 0]))
+    stations["latitude"], stations["longitude"] = np.degrees(angles_of(up))
     stations["height"] = height
     stations.to_csv(folder / "block.csv", index=False)
-    rows = block.rows.assign(
-        image=block.image[block.rows["image"]], point=block.point[block.rows["point"]]
-    )
+
+    rows = block.rows.copy()
+    rows["image"] = block.image[rows["image"]]
+    rows["point"] = block.point[rows["point"]]
     rows.to_parquet(folder / "observations.parquet")
+
+    lens = dict(zip(("k1", "k2", "p1", "p2", "k3"), LENS.tolist(), strict=True))
     camera = {
         "width_px": WIDTH,
         "height_px": HEIGHT,
         "f_px": FOCAL,
         "cx_px": CX,
         "cy_px": CY,
-        "distortion": dict(zip(("k1", "k2", "p1", "p2", "k3"), LENS.tolist(), strict=True)),
+        "distortion": lens,
         "calibration": "laboratory",
     }
     config = yaml.safe_load("""
@@ -230,7 +282,7 @@ def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
     return path
 
 
-def intersected(block: HeldBlock, tangents: np.ndarray) -> np.ndarray:
+def intersected(block: HeldBlock, tangents: Array) -> Array:
     """(p, 3) errors east, north, up [m] of points from straight rays (r, 2), right and down.
 
     Least squares of the distances, weighted by what a pixel is worth there; poses are held.
@@ -239,15 +291,17 @@ def intersected(block: HeldBlock, tangents: np.ndarray) -> np.ndarray:
     to_camera = block.camera_from_frame
     station = block.rows["image"].to_numpy()
     point = block.rows["point"].to_numpy()
-    rays = np.column_stack([tangents, np.ones(len(tangents))])
-    rays = np.einsum("rji,rj->ri", to_camera[station], rays)
-    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    axes = np.ones(len(tangents))
+    rays = np.column_stack([tangents, axes])
+    rays = unit(np.einsum("rji,rj->ri", to_camera[station], rays))
     true = block.in_frame(block.place)
+    distance = np.linalg.norm(true[point] - centre[station], axis=1)
     square = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    square /= np.sum((true[point] - centre[station]) ** 2, axis=1)[:, None, None]
+    square /= distance[:, None, None] ** 2
     normal = np.zeros((len(true), 3, 3))
     right = np.zeros((len(true), 3))
     np.add.at(normal, point, square)
     np.add.at(right, point, np.einsum("rij,rj->ri", square, centre[station]))
     seen = np.unique(point)
-    return np.linalg.solve(normal[seen], right[seen][..., None])[..., 0] - true[seen]
+    solved = np.linalg.solve(normal[seen], right[seen][..., None])
+    return solved[..., 0] - true[seen]

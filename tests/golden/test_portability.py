@@ -43,9 +43,9 @@ def like_windows(tmp_path_factory):
     (folder / "sitecustomize.py").write_text(
         f"import runpy\nrunpy.run_path({str(helper)!r})['install']()\n", encoding="utf-8"
     )
-    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT), *filter(None, given)]),
+        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT), *filter(None, inherited)]),
         "PYTHONWARNDEFAULTENCODING": "1",
         "PYTHONIOENCODING": "cp1252",
     }

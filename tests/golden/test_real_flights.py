@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.helpers import NS_PER_S
 from unbend.batch.executors import Outcome
 from unbend.errors import MissionError
 from unbend.ingest import open_log
 from unbend.report.summary import remarks, verdict
 
 from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
-from .test_autopilot_logs import CAMERA
+from .test_autopilot_logs import CAMERA, scattered_points
 
 pytestmark = needs_shared
 
@@ -28,37 +29,29 @@ def fly(
 ) -> Outcome:
     """Exposures every few seconds over the attitude channel, five points in each image."""
     path = SHARED / "logs" / name
-    attitude = min(
-        (c for c in open_log(path).channels if "attitude" in c.roles), key=lambda c: c.rank
-    )
-    start = attitude.time_ns[0]
-    end = attitude.time_ns[-1]
-    time_ns = np.linspace(start + 10**9, end - 10**9, 60).astype(np.int64)
+    channels = [channel for channel in open_log(path).channels if "attitude" in channel.roles]
+    attitude = min(channels, key=lambda channel: channel.rank)
+    start = attitude.time_ns[0] + NS_PER_S
+    end = attitude.time_ns[-1] - NS_PER_S
+    time_ns = np.linspace(start, end, 60).astype(np.int64)
     images = [f"img_{i:03d}" for i in range(60)]
     stamps = pd.to_datetime(time_ns, utc=True).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-    pd.DataFrame({"image": images, "time_utc": stamps}).to_csv(folder / "events.csv", index=False)
-    rng = np.random.default_rng(5)
-    pd.DataFrame(
-        {
-            "image": np.repeat(images, 5),
-            "point": [f"p{i}" for i in range(300)],
-            "x_px": rng.uniform(0, 6000, 300),
-            "y_px": rng.uniform(0, 4000, 300),
-        }
-    ).to_csv(folder / "observations.csv", index=False)
-    return run_mission(
-        write_mission(
-            folder / "mission.yaml",
-            mission={"name": Path(name).stem, "undulation_m": undulation_m},
-            log={"path": str(path), **log},
-            observations={"path": "observations.csv"},
-            cameras={"cam": dict(CAMERA)},
-            mount={"cam": {}},
-            events={"csv": {"path": "events.csv"}},
-            ground=ground,
-            output={"path": "results"},
-        )
+    events = pd.DataFrame({"image": images, "time_utc": stamps})
+    events.to_csv(folder / "events.csv", index=False)
+    points = scattered_points(images, seed=5)
+    points.to_csv(folder / "observations.csv", index=False)
+    mission = write_mission(
+        folder / "mission.yaml",
+        mission={"name": Path(name).stem, "undulation_m": undulation_m},
+        log={"path": str(path), **log},
+        observations={"path": "observations.csv"},
+        cameras={"cam": dict(CAMERA)},
+        mount={"cam": {}},
+        events={"csv": {"path": "events.csv"}},
+        ground=ground,
+        output={"path": "results"},
     )
+    return run_mission(mission)
 
 
 def checked(outcome: Outcome) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -67,13 +60,11 @@ def checked(outcome: Outcome) -> tuple[pd.DataFrame, pd.DataFrame]:
     observations = read_observations(outcome.output)
     assert len(observations) == 300
     good = observations["status"].isin(["ok", "beyond_grazing"])
-    assert (
-        observations.loc[good, ["x_corrected_px", "y_corrected_px", "r_c_rad"]].notna().all().all()
-    )
+    corrected = observations.loc[good, ["x_corrected_px", "y_corrected_px", "r_c_rad"]]
+    assert corrected.notna().all(axis=None)
     assert observations.loc[~good, "x_corrected_px"].isna().all()
-    assert (
-        stations.loc[stations["status"] == "ok", ["lat_deg", "h_msl_m", "q_w"]].notna().all().all()
-    )
+    usable = stations.loc[stations["status"] == "ok", ["lat_deg", "h_msl_m", "q_w"]]
+    assert usable.notna().all(axis=None)
     return stations, observations
 
 
@@ -108,25 +99,34 @@ def test_telemetry_with_five_boots(tmp_path):
 
 
 def test_motion_capture_has_attitude_and_time(tmp_path):
+    log = "cubs2_cub_stabilize.mcap"
     origin = {"lat_deg": 40.4, "lon_deg": -86.9, "h_ellipsoid_m": 150.0}
     ground = {"height": 183.0, "reference": "msl"}
     channels = {"position": "/cub1/pose", "attitude": "/cub1/pose"}
     with pytest.raises(MissionError, match="CHANNEL-MISSING"):
-        fly(tmp_path, "cubs2_cub_stabilize.mcap", ground, channels=channels)
-    outcome = fly(tmp_path, "cubs2_cub_stabilize.mcap", ground)
+        fly(tmp_path, log, ground, channels=channels)
+
+    outcome = fly(tmp_path, log, ground)
     stations, _ = checked(outcome)
     assert (stations["status"] == "no_position").all()
     assert outcome.exit_code == 3
-    located = fly(tmp_path, "cubs2_cub_stabilize.mcap", ground, local_origin=origin)
+
+    located = fly(tmp_path, log, ground, local_origin=origin)
     stations, _ = checked(located)
     assert (stations["status"] == "ok").all()  # EGM96 has -34.4 m there
-    np.testing.assert_allclose(stations["h_ellipsoid_m"] - stations["h_msl_m"], -34.4, atol=0.1)
+    np.testing.assert_allclose(
+        stations["h_ellipsoid_m"] - stations["h_msl_m"],
+        -34.4,
+        atol=0.1,
+    )
     assert stations["q_w"].notna().all()
     assert np.abs(stations["lat_deg"] - 40.4).max() < 0.001
+
+    ground["height"] = 150.0
     whole = fly(
         tmp_path,
-        "cubs2_cub_stabilize.mcap",
-        {**ground, "height": 150.0},
+        log,
+        ground,
         -33.0,
         local_origin=origin,
     )

@@ -7,10 +7,10 @@ on the ellipsoid, hydrostatics by an ODE, another camera model: nothing of the c
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
@@ -27,7 +27,13 @@ from unbend.geodesy import lambert_gravity
 from unbend.refraction import Exposures, bend, correct_observations, ray_table
 from unbend.units import ARCSEC, DEGREE
 
-from .conftest import REPOSITORY, read_observations, run_sample
+from .conftest import (
+    KINDS,
+    REPOSITORY,
+    read_observations,
+    run_sample,
+    sample_sections,
+)
 
 Array = NDArray[np.float64]
 QUATERNION = ["q_x", "q_y", "q_z", "q_w"]
@@ -37,30 +43,39 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def distance(first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str]) -> Array:
-    """Pixels between the corrected points of a run and those of another table."""
-    return np.hypot(
-        first["x_corrected_px"] - second[names[0]], first["y_corrected_px"] - second[names[1]]
-    ).to_numpy()
+MEASURED = ["x_px", "y_px"]
+CORRECTED = ["x_corrected_px", "y_corrected_px"]
+TRUE = ["x_true_px", "y_true_px"]
 
 
-@pytest.fixture(scope="module")
-def true_profile(truth) -> Profile:
-    table = truth["profile"]
-    gravity = lambert_gravity(float(truth["stations"]["lat_deg"].mean()) * DEGREE)
+def distance(first: Array | pd.DataFrame, second: pd.DataFrame) -> Array:
+    """Pixels between points (n, 2)."""
+    return np.linalg.norm(np.asarray(first) - second.to_numpy(), axis=1)
+
+
+def profile_of(table: pd.DataFrame, latitude_rad: float) -> Profile:
+    """The simulator's air."""
     return profile_from_table(
         table["h_m"],
         table["temperature_k"],
         table["pressure_pa"],
         table["vapour_pressure_pa"],
-        gravity=gravity,
+        gravity=lambert_gravity(latitude_rad),
     )
 
 
-def correct_with(
-    profile: Profile, stations: pd.DataFrame, truth: dict[str, pd.DataFrame]
-) -> tuple[Array, Array]:
-    """Distances of corrected from true points, and sizes of the true shifts [px]."""
+@pytest.fixture(scope="module")
+def true_profile(truth) -> Profile:
+    latitude_deg = float(truth["stations"]["lat_deg"].mean())
+    return profile_of(truth["profile"], latitude_deg * DEGREE)
+
+
+def error_with(
+    profile: Profile,
+    stations: pd.DataFrame,
+    truth: dict[str, pd.DataFrame],
+) -> Array:
+    """Distances of corrected from true points [px]."""
     mission = load_mission(REPOSITORY / "configs" / "sample_bin.yaml")
     observations = truth["observations"]
     table = ray_table(profile)
@@ -79,10 +94,11 @@ def correct_with(
         outside,
         inside,
     )
-    row = observations["image"].map(pd.Series(stations.index, stations["image"])).to_numpy()
-    error = np.full(len(observations), np.nan)
+    row_of_image = pd.Series(stations.index, stations["image"])
+    row = observations["image"].map(row_of_image).to_numpy()
+    corrected = np.full((len(observations), 2), np.nan)
     for name, section in mission.cameras.items():
-        is_of_camera = (observations["image"].str.startswith(name)).to_numpy()
+        is_of_camera = observations["image"].str.startswith(name).to_numpy()
         part = observations[is_of_camera]
         corrections = correct_observations(
             part["x_px"].to_numpy(),
@@ -93,112 +109,92 @@ def correct_with(
             camera=section.interior_orientation,
             table=table,
         )
-        error[is_of_camera] = np.hypot(
-            corrections.x_corrected_px - part["x_true_px"],
-            corrections.y_corrected_px - part["y_true_px"],
-        )
-    shift = np.hypot(
-        observations["x_px"] - observations["x_true_px"],
-        observations["y_px"] - observations["y_true_px"],
-    )
-    return error, shift.to_numpy()
+        corrected[is_of_camera, 0] = corrections.x_corrected_px
+        corrected[is_of_camera, 1] = corrections.y_corrected_px
+    return distance(corrected, observations[TRUE])
 
 
 def test_true_profile_and_true_stations_give_true_points(true_profile, truth):
     # Measured: 1.2e-4 px at most, for the two formulas of the refractive index.
-    error, _ = correct_with(true_profile, truth["stations"], truth)
+    error = error_with(true_profile, truth["stations"], truth)
     assert np.isfinite(error).all()
     assert error.max() < 0.001
 
 
-@pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_true_profile_and_logged_stations(kind, runs, true_profile, truth):
     stations = pd.read_parquet(runs[kind].output / "stations.parquet")
-    error, _ = correct_with(true_profile, stations, truth)
-    assert error.max() < 0.01
+    assert error_with(true_profile, stations, truth).max() < 0.01
 
 
-@pytest.mark.parametrize("kind", ["bin", "tlog", "mcap"])
-def test_adjusted_profile_beats_the_standard(kind, runs, truth, tmp_path, capsys):
+@pytest.mark.parametrize("kind", KINDS)
+def test_adjusted_profile_beats_the_standard(kind, runs, truth, tmp_path):
     true = truth["observations"]
-    shift = np.hypot(true["x_px"] - true["x_true_px"], true["y_px"] - true["y_true_px"])
-    adjusted = rms(distance(read_observations(runs[kind].output), true, ("x_true_px", "y_true_px")))
     standard_run = run_sample(kind, tmp_path / kind, atmosphere={"adjust": False})
-    standard = rms(
-        distance(read_observations(standard_run.output), true, ("x_true_px", "y_true_px"))
+
+    shift_px = rms(distance(true[MEASURED], true[TRUE]))
+    adjusted_px, standard_px = (
+        rms(distance(read_observations(run.output)[CORRECTED], true[TRUE]))
+        for run in (runs[kind], standard_run)
     )
-    size = rms(shift.to_numpy())
-    with capsys.disabled():
-        print(
-            f"\n{kind}: rms error of the shift {100 * adjusted / size:.2f} % adjusted, "
-            f"{100 * standard / size:.2f} % with us1976"
-        )
-    assert adjusted < 0.03 * size
-    assert standard > 2.0 * adjusted
+
+    assert adjusted_px < 0.03 * shift_px
+    assert standard_px > 2.0 * adjusted_px
 
 
 def test_the_remaining_error_is_the_air(runs, truth):
     """R_c itself, without the window that hides part of it in the nadir images."""
     rows = read_observations(runs["bin"].output)
     true = truth["observations"]
-    oblique = true["image"].str.startswith("oblique").to_numpy()
-    error = rows["r_c_rad"][oblique] / true["r_c_rad"][oblique] - 1.0
-    assert rms(error.to_numpy()) < 0.03
+    is_oblique = true["image"].str.startswith("oblique")
+    error = rows["r_c_rad"] / true["r_c_rad"] - 1.0
+    assert rms(error[is_oblique].to_numpy()) < 0.03
 
 
 def test_the_three_logs_agree(runs):
-    tables = [read_observations(run.output) for run in runs.values()]
-    for table in tables[1:]:
-        assert distance(tables[0], table, ("x_corrected_px", "y_corrected_px")).max() < 0.01
+    first, *more = (read_observations(run.output)[CORRECTED] for run in runs.values())
+    for points in more:
+        assert distance(first, points).max() < 0.01
 
 
-def test_cabin_air_changes_r_cc_as_the_truth_does(runs, truth):
+@pytest.mark.parametrize("kind", KINDS)
+def test_cabin_air_changes_r_cc_as_the_truth_does(kind, runs, truth):
     true = truth["observations"]
-    for run in runs.values():
-        rows = read_observations(run.output)
-        # R_cc / tan(zeta_f) belongs to the exposure; compare its changes from image to image.
-        by_image = pd.DataFrame(
-            {"image": true["image"], "found": rows["r_cc_rad"], "true": true["r_cc_rad"]}
-        ).groupby("image")
-        ratio = by_image["found"].sum() / by_image["true"].sum()
-        per_image = by_image["true"].mean()
-        assert per_image.std() / per_image.mean() > 0.005, "the cabin is constant: no test"
-        assert np.abs(ratio - 1.0).max() < 0.03
-        assert np.abs(rows["r_cc_rad"] - true["r_cc_rad"]).max() / ARCSEC < 0.1
+    r_cc = read_observations(runs[kind].output)["r_cc_rad"]
+    # R_cc / tan(zeta_f) belongs to the exposure; compare its changes from image to image.
+    true_of_image = true["r_cc_rad"].groupby(true["image"])
+    per_image = true_of_image.mean()
+    assert per_image.std() / per_image.mean() > 0.005, "the cabin is constant: no test"
+    ratio = r_cc.groupby(true["image"]).sum() / true_of_image.sum()
+    assert np.abs(ratio - 1.0).max() < 0.03
+    assert np.abs(r_cc - true["r_cc_rad"]).max() / ARCSEC < 0.1
 
 
-def test_kernel_against_the_ode_on_the_true_profile(truth, capsys):
+def test_kernel_against_the_ode_on_the_true_profile(truth):
     """The ray kernel and the ODE through the very same air, layers of 50 m with an inversion."""
     table = truth["profile"]
-    table = table[table["h_m"] % 50.0 == 0.0]
-    air = profile_from_table(
-        table["h_m"],
-        table["temperature_k"],
-        table["pressure_pa"],
-        table["vapour_pressure_pa"],
-        gravity=lambert_gravity(0.83),
-    )
+    air = profile_of(table[table["h_m"] % 50.0 == 0.0], latitude_rad=0.83)
+    camera_m = 3450.0
+    ground_m = 412.0
+    radius_m = 6.38e6
     breaks = air.break_heights_m
-    inside = tuple(breaks[(breaks > 412.0) & (breaks < 3450.0)])
+    between = tuple(breaks[(breaks > ground_m) & (breaks < camera_m)])
 
     def index(h: float) -> float:
         return 1.0 + float(air.refractivity(h))
 
-    worst = 0.0
-    for zeta in (0.2, 45.0, 75.0, 85.0):
+    for zeta_deg in (0.2, 45.0, 75.0, 85.0):
+        zeta = zeta_deg * DEGREE
         bent, _ = bend(
             ray_table(air),
-            3450.0,
-            412.0,
-            np.sin(zeta * DEGREE),
-            np.cos(zeta * DEGREE),
-            radius=6.38e6,
+            camera_m,
+            ground_m,
+            np.sin(zeta),
+            np.cos(zeta),
+            radius=radius_m,
         )
-        expected = ray_angle_sphere(index, 3450.0, 412.0, zeta * DEGREE, 6.38e6, breaks=inside)
-        worst = max(worst, abs(float(bent) - expected) / ARCSEC)
-    with capsys.disabled():
-        print(f"\nkernel against ODE on the true profile: {worst:.1e} arcsec")
-    assert worst < 1e-6
+        expected = ray_angle_sphere(index, camera_m, ground_m, zeta, radius_m, breaks=between)
+        assert abs(float(bent) - expected) / ARCSEC < 1e-6
 
 
 def test_refractive_indices_agree(true_profile, truth):
@@ -211,21 +207,18 @@ def test_refractive_indices_agree(true_profile, truth):
 
 
 def test_sample_logs_are_small():
-    logs = [REPOSITORY / "sample_logs" / f"flight.{kind}" for kind in ("bin", "tlog", "mcap")]
+    logs = [Path(sample_sections(kind, Path("out"))["log"]["path"]) for kind in KINDS]
+    assert [log.name for log in logs] == [f"flight.{kind}" for kind in KINDS]
     assert sum(log.stat().st_size for log in logs) < 10_000_000
-    for kind in ("bin", "tlog", "mcap"):
-        sections = yaml.safe_load((REPOSITORY / "configs" / f"sample_{kind}.yaml").read_text())
-        assert (REPOSITORY / "configs" / sections["log"]["path"]).is_file()
 
 
 def test_tables_in_memory_give_the_rows_of_the_run(runs):
     """To the last bit, columns of uncertainty included: `correct` with the flight's air."""
     run = runs["bin"].output
-    mission = runs["bin"].output.parent / "bin.yaml"
+    mission = run.with_name("bin.yaml")
     sections = yaml.safe_load(mission.read_text(encoding="utf-8"))
-    expected = pa.concat_tables(
-        pq.read_table(part) for part in sorted((run / "observations").glob("part-*.parquet"))
-    )
+    expected = pq.read_table(run / "observations")
+
     rows = correct(
         pq.read_table(sections["observations"]["path"]),
         pq.read_table(run / "stations.parquet"),
@@ -233,11 +226,13 @@ def test_tables_in_memory_give_the_rows_of_the_run(runs):
         sections["cameras"],
         mount=sections["mount"],
     )
+
     assert rows.num_rows == 2188
     assert rows.cast(expected.schema).equals(expected)
     manifest = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
     for name in ("uncertainty", "cabin_air"):
-        assert json.loads(rows.schema.metadata[f"unbend.{name}".encode()]) == manifest[name]
+        text = rows.schema.metadata[f"unbend.{name}".encode()]
+        assert json.loads(text) == manifest[name]
 
 
 def test_the_gallery_shows_this_flight(runs):
@@ -247,6 +242,5 @@ def test_the_gallery_shows_this_flight(runs):
     shown = sample_flight.rows(runs["bin"].output)
     assert shown == numbers_of("sample_flight")
     page = (REPOSITORY / "docs/pages/theory/uncertainty.md").read_text(encoding="utf-8")
-    manifest = json.loads((runs["bin"].output / "manifest.json").read_text(encoding="utf-8"))
-    share = manifest["uncertainty"]["variance_share"]
+    share = runs["bin"].manifest.values["uncertainty"]["variance_share"]
     assert f"In the sample flight it is {share:.2f}:" in page

@@ -21,7 +21,10 @@ UNREACHABLE = "Retrying (Retry("
 LONGEST_S = 900.0
 
 
-def ended(*words: object, place: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+Ended = subprocess.CompletedProcess[str]
+
+
+def ended(*words: object, place: Path, **environment: str) -> Ended:
     return subprocess.run(
         [str(word) for word in words],
         cwd=place,
@@ -55,7 +58,8 @@ def clean_python(wheel, tmp_path_factory) -> Path:
     """The Python of an environment with the wheel and what the program needs."""
     folder = tmp_path_factory.mktemp("clean")
     answer(sys.executable, "-m", "venv", "environment", place=folder)
-    python = folder / "environment" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    name = "Scripts/python.exe" if os.name == "nt" else "bin/python"
+    python = folder / "environment" / name
     locked = REPOSITORY / ".locks" / "main.txt"
     install = (*PIP, "install", "--no-compile")
     needs = ("--retries", 1, "--require-hashes", "--requirement", locked)
@@ -77,7 +81,13 @@ def test_the_wheel_without_extras_corrects_the_sample_flight(clean_python, runs,
 
     unbend = clean_python.with_name("unbend")
     cache = str(tmp_path / "cache")
-    answer(unbend, "run", "configs/sample_bin.yaml", place=tmp_path, XDG_CACHE_HOME=cache)
+    answer(
+        unbend,
+        "run",
+        "configs/sample_bin.yaml",
+        place=tmp_path,
+        XDG_CACHE_HOME=cache,
+    )
     answer(unbend, "verify", "results/sample_bin", place=tmp_path)
     results = tmp_path / "results" / "sample_bin"
     assert (results / "report.html").is_file()
