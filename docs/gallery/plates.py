@@ -1,14 +1,13 @@
 """What the pictures of the gallery share: colours, light and dark, tables, and the page.
 
 Each script of this folder has `rows`, the numbers as a table of texts, and `draw`, which draws them
-on a figure of `SIZE`. `python -m docs.gallery` writes all of them to docs/pages/gallery, with the
-texts of texts.toml; tests/golden/test_gallery.py computes numbers again.
+on a figure of `SIZE`. `python -m docs.gallery` writes them and texts.toml to docs/pages/gallery.
 """
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import matplotlib as mpl
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,8 +25,9 @@ THEMES = {"light": ("#333333", "#d9d9d9"), "dark": ("#dddddd", "#50566a")}
 
 def save(name: str, title: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
     """A picture in both themes; returns what stands on the page for it."""
-    shown = ""
+    links = ""
     for theme, (words, lines) in THEMES.items():
+        file = f"{name}-{theme}.png"
         style = {
             "text.color": words,
             "axes.labelcolor": words,
@@ -45,41 +45,46 @@ def save(name: str, title: str, size: tuple[float, float], draw: Callable[[Figur
             "axes.titlesize": 10,
             "legend.frameon": False,
             "axes.axisbelow": True,
-            "axes.prop_cycle": mpl.cycler(color=COLOURS),
+            "axes.prop_cycle": matplotlib.cycler(color=COLOURS),
             "axes.spines.top": False,
             "axes.spines.right": False,
             "axes.unicode_minus": False,
         }
-        with mpl.rc_context(style):
+        with matplotlib.rc_context(style):
             figure = Figure(figsize=size, layout="constrained")
             draw(figure)
-            figure.savefig(FOLDER / f"{name}-{theme}.png", dpi=110, metadata={"Software": None})
-        shown += f"![{title}]({name}-{theme}.png#only-{theme})\n"
-    return shown
+            figure.savefig(FOLDER / file, dpi=110, metadata={"Software": None})
+        links += f"![{title}]({file}#only-{theme})\n"
+    return links
 
 
 def bars(axis: Axes, values: dict[str, list[str]]) -> None:
     """Root mean squares as bars from the top, and the values themselves as points, log scale."""
-    for y, (colour, texts) in enumerate(zip(COLOURS, values.values(), strict=False)):
-        found = abs(np.array(texts, float))
-        axis.barh(-y, np.sqrt(np.mean(found**2)), color=colour, alpha=0.55)
-        axis.plot(found, np.full(found.size, -y), ".", color=colour)
-    axis.set_yticks([-y for y in range(len(values))], list(values))
-    axis.set_xscale("log")
-    axis.set_xlim(0.005, 50.0)
+    y = -np.arange(len(values))
+    for i, texts in enumerate(values.values()):
+        numbers = abs(np.array(texts, float))
+        axis.barh(y[i], np.sqrt(np.mean(numbers**2)), color=COLOURS[i], alpha=0.55)
+        axis.plot(numbers, np.full(numbers.size, y[i]), ".", color=COLOURS[i])
+    axis.set_yticks(y, list(values))
+    axis.set(xscale="log", xlim=(0.005, 50.0))
     axis.set_xticks([0.01, 0.1, 1.0, 10.0], ["0.01", "0.1", "1", "10"])
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Rows of texts as Markdown, the first of them the head."""
-    head, *body = (f"| {' | '.join(row)} |" for row in rows)
-    return "\n".join([head, "| :-- |" + " --: |" * (len(rows[0]) - 1), *body])
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    lines.insert(1, "| :-- |" + " --: |" * (len(rows[0]) - 1))
+    return "\n".join(lines)
 
 
 def numbers_of(name: str) -> list[list[str]]:
-    """The table of a script as it stands on the page."""
-    page = (FOLDER / "index.md").read_text(encoding="utf-8")
-    lines = page.split(f"docs/gallery/{name}.py")[1].split("## ")[0].splitlines()
-    cells = [line.strip()[1:-1].split("|") for line in lines if line.startswith("    |")]
-    rows = [[cell.strip() for cell in row] for row in cells]
-    return [rows[0], *rows[2:]]
+    """The table of a script that the page has."""
+    page = FOLDER.joinpath("index.md").read_text(encoding="utf-8")
+    section = page.split(f"docs/gallery/{name}.py")[1].split("## ")[0]
+    rows = []
+    for line in section.splitlines():
+        if line.startswith("    |"):
+            cells = line.strip().strip("|").split("|")
+            rows.append([cell.strip() for cell in cells])
+    del rows[1]  # the rule below the head
+    return rows
