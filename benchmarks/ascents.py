@@ -53,9 +53,9 @@ class Ascent:
     def h_m(self) -> np.ndarray:
         """Heights above sea level [m]."""
         gravity = normal_gravity(self.latitude_rad, 0.0)
-        first = self.geopotential_m * STANDARD_GRAVITY / gravity
-        fall = 0.5 * GRAVITY_FALL / gravity * first
-        return first * (1.0 + fall)
+        h = self.geopotential_m * STANDARD_GRAVITY / gravity
+        fall = 0.5 * GRAVITY_FALL / gravity * h
+        return h * (1.0 + fall)
 
     @property
     def solar_hour(self) -> float:
@@ -115,7 +115,8 @@ class Ascent:
         above_m = np.arange(0.0, highest_m, _STEP_M)
         n = refractivity(self.h_m[0] + above_m)
         integral = trapezoid(n - n[-1], dx=_STEP_M)
-        return float(integral / climb_m)
+        mean = integral / climb_m
+        return float(mean)
 
     def error(self, air, climb_m: float) -> float:
         """Relative error of R with another air."""

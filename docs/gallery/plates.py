@@ -1,7 +1,6 @@
 """What the pictures of the gallery share: colours, light and dark, tables, and the page.
 
-Each script of this folder has `rows`, the numbers as a table of texts, and `draw`, which draws them
-on a figure of `SIZE`. `python -m docs.gallery` writes them and texts.toml to docs/pages/gallery.
+Each script has `rows`, a table of texts, and `draw`, which draws them on a figure of `SIZE`.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +19,7 @@ PURPLE = "#c45ab3"
 GREY = "#8a8a8a"
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, "#b8a31d", "#d9534f", "#56b4b4", "#7f6fd0", GREY)
 THEMES = {"light": ("#333333", "#d9d9d9"), "dark": ("#dddddd", "#50566a")}
-"""Colours of words and of lines, on the ground of the page."""
+"""Colours of words and of lines."""
 
 
 def save(name: str, title: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
@@ -63,7 +62,8 @@ def bars(axis: Axes, values: dict[str, list[str]]) -> None:
     y = -np.arange(len(values))
     for i, texts in enumerate(values.values()):
         numbers = abs(np.array(texts, float))
-        axis.barh(y[i], np.sqrt(np.mean(numbers**2)), color=COLOURS[i], alpha=0.55)
+        rms = np.sqrt(np.mean(numbers**2))
+        axis.barh(y[i], rms, color=COLOURS[i], alpha=0.55)
         axis.plot(numbers, np.full(numbers.size, y[i]), ".", color=COLOURS[i])
     axis.set_yticks(y, list(values))
     axis.set(xscale="log", xlim=(0.005, 50.0))
@@ -73,7 +73,8 @@ def bars(axis: Axes, values: dict[str, list[str]]) -> None:
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Rows of texts as Markdown, the first of them the head."""
     lines = [f"| {' | '.join(row)} |" for row in rows]
-    lines.insert(1, "| :-- |" + " --: |" * (len(rows[0]) - 1))
+    numbers = len(rows[0]) - 1
+    lines.insert(1, "| :-- |" + " --: |" * numbers)
     return "\n".join(lines)
 
 

@@ -18,8 +18,9 @@ LEVELS_PX = (0.01, 0.03, 0.1, 0.3, 1, 3, 10)
 LEVELS_M = (0.001, 0.01, 0.1, 1, 10)
 
 
-def effect(h_c: np.ndarray, degrees: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def effect(height: np.ndarray | int, degrees: np.ndarray | int) -> tuple[np.ndarray, np.ndarray]:
     """Shift of a point on the axis of a camera that looks there [px], and metres on the ground."""
+    h_c = np.array(height, float)
     zeta = np.radians(degrees)
     air = standard_atmosphere()
     r_c = refraction_angle(air, h_c, 0.0, zeta, RADIUS_M)
@@ -34,7 +35,7 @@ def rows() -> list[list[str]]:
     for height in HEIGHTS_M:
         row = [f"{height} m"]
         for angle in ANGLES_DEG:
-            shift_px, metres = effect(np.array(float(height)), np.array(float(angle)))
+            shift_px, metres = effect(height, angle)
             row.append(f"{shift_px:.3f} px, {metres:.3f} m")
         table.append(row)
     return table
