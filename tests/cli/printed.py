@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from pathlib import Path
 from typing import Any
 
 
@@ -21,10 +20,6 @@ def one_line(text: str) -> str:
 
 def csv_rows(text: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(text)))
-
-
-def csv_rows_of(path: Path) -> list[dict[str, str]]:
-    return csv_rows(path.read_text(encoding="utf-8"))
 
 
 def strict_json(text: str) -> dict[str, Any]:
