@@ -3,7 +3,7 @@
 Each script has `rows`, a table of texts, and `draw`, which draws them on a figure of `SIZE`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib
@@ -18,8 +18,7 @@ GREEN = "#3aa678"
 PURPLE = "#c45ab3"
 GREY = "#8a8a8a"
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, "#b8a31d", "#d9534f", "#56b4b4", "#7f6fd0", GREY)
-THEMES = {"light": ("#333333", "#d9d9d9"), "dark": ("#dddddd", "#50566a")}
-"""Colours of words and of lines."""
+THEMES = {"light": ("#333333", "#d9d9d9"), "dark": ("#dddddd", "#50566a")}  # words, lines
 
 
 def save(name: str, title: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
@@ -70,7 +69,7 @@ def bars(axis: Axes, values: dict[str, list[str]]) -> None:
     axis.set_xticks([0.01, 0.1, 1.0, 10.0], ["0.01", "0.1", "1", "10"])
 
 
-def table(rows: Sequence[Sequence[str]]) -> str:
+def table(rows: list[list[str]]) -> str:
     """Rows of texts as Markdown, the first of them the head."""
     lines = [f"| {' | '.join(row)} |" for row in rows]
     numbers = len(rows[0]) - 1

@@ -9,8 +9,9 @@ import numpy as np
 from unbend.report import message_csv
 from unbend.report.message_csv import field_rows, write_messages_csv
 
+TIME_NS = [1_500_000_000_000_000_001, 1_500_000_086_400_000_000, 2]
 COLUMNS = {
-    "time_ns": np.array([1_500_000_000_000_000_001, 1_500_000_086_400_000_000, 2], np.int64),
+    "time_ns": np.array(TIME_NS, np.int64),
     "Temp": np.array([np.nan, -2.5, 0.1]),
     "Name": np.array(["a,b", 'c"d', ""]),
     "q": np.array([[1, 2], [3, 4], [6, 5]], np.int16),
@@ -42,5 +43,5 @@ def test_every_cell_of_the_fields():
 
 
 def test_a_type_without_rows():
-    (row,) = field_rows({"Temp": np.empty(0)})
-    assert row == {"field": "Temp", "type": "float64", "first": ""}
+    rows = field_rows({"Temp": np.empty(0)})
+    assert rows == [{"field": "Temp", "type": "float64", "first": ""}]
