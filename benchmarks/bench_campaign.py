@@ -30,7 +30,7 @@ def campaign(folder: Path) -> Path:
     a run of it would: `mission_status` agrees.
     """
     flown = simulate(folder / "flown", SMALL)
-    sections = yaml.safe_load(flown.missions["bin"].read_text(encoding="utf-8"))
+    sections = yaml.safe_load(flown.missions["bin"].read_text("utf-8"))
     sections["output"]["path"] = "results"
     files = []
     for number in range(MISSIONS):
@@ -48,7 +48,7 @@ def campaign(folder: Path) -> Path:
         results = file.parent / "results"
         shutil.copytree(first.parent / "results", results)
         text = manifest_text(manifest.with_values(values))
-        (results / "manifest.json").write_text(text, encoding="utf-8")
+        (results / "manifest.json").write_text(text, "utf-8")
     _, differences = mission_status(files[-1])
     assert differences == []
     content = {"campaign": {"name": "season", "output": "."}, "missions": ["flights/*/*.yaml"]}
@@ -57,7 +57,7 @@ def campaign(folder: Path) -> Path:
 
 
 def write_yaml(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    path.write_text(yaml.safe_dump(content), "utf-8")
 
 
 def cpu_seconds(action: Callable[[], Any]) -> float:

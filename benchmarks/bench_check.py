@@ -45,13 +45,13 @@ def mission(folder: Path, rows: int, ground: dict) -> Path:
         row_group_size=1_000_000,
     )
     sample = REPOSITORY / "configs" / "sample_bin.yaml"
-    sections = yaml.safe_load(sample.read_text(encoding="utf-8"))
+    sections = yaml.safe_load(sample.read_text("utf-8"))
     sections["log"]["path"] = str(SAMPLES / "flight.bin")
     sections["observations"]["path"] = table
     sections["ground"] = ground
     sections["output"]["path"] = f"results_{rows}"
     path = folder / f"{rows}.yaml"
-    path.write_text(yaml.safe_dump(sections), encoding="utf-8")
+    path.write_text(yaml.safe_dump(sections), "utf-8")
     return path
 
 

@@ -97,7 +97,7 @@ def write_mission(folder: Path, rows: int, kind: str) -> Path:
         "atmosphere": {"adjust": False},
         "output": {"path": "results"},
     }
-    (folder / "mission.yaml").write_text(yaml.safe_dump(mission), encoding="utf-8")
+    (folder / "mission.yaml").write_text(yaml.safe_dump(mission), "utf-8")
     return folder
 
 

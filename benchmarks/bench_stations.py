@@ -46,7 +46,7 @@ def test_twenty_thousand_stations_beside_the_ingest_of_a_log(ratios, tmp_path):
         "output": {"path": "results"},
     }
     path = tmp_path / "mission.yaml"
-    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    path.write_text(yaml.safe_dump(config), "utf-8")
     mission = load_mission(path)
     columns = mission.observations.columns.model_dump()
     observations = open_observations(

@@ -41,7 +41,7 @@ def notebooks() -> list[Path]:
 
 
 def cells_of(notebook: Path) -> list[Cell]:
-    cells: list[Cell] = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    cells: list[Cell] = json.loads(notebook.read_text("utf-8"))["cells"]
     return cells
 
 
@@ -171,7 +171,7 @@ def main() -> int:
         print("\n".join([f"{notebook.name}: {len(found)} cells print something else", *found]))
         if "--write" in words:
             text = json.dumps(now, indent=1, ensure_ascii=False, sort_keys=True)
-            notebook.write_text(text + "\n", encoding="utf-8")
+            notebook.write_text(text + "\n", "utf-8")
     return int(different > 0 and "--write" not in words)
 
 

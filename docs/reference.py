@@ -132,7 +132,7 @@ def code_lines(code: str) -> Iterator[str]:
 
 def project_urls() -> dict[str, str]:
     """The addresses that a maintainer fills into pyproject.toml: Repository and Issues, or none."""
-    text = (DOCS.parent / "pyproject.toml").read_text(encoding="utf-8")
+    text = (DOCS.parent / "pyproject.toml").read_text("utf-8")
     project = tomllib.loads(text)["project"]
     urls: dict[str, str] = project.get("urls", {})
     return urls

@@ -100,7 +100,7 @@ def pages() -> list[Path]:
 
 
 def blocks(page: Path) -> Iterator[Block]:
-    text = page.read_text(encoding="utf-8")
+    text = page.read_text("utf-8")
     for fence in FENCE.finditer(text):
         title = ""
         stated = TITLE.search(fence["rest"])
@@ -121,7 +121,7 @@ def blocks(page: Path) -> Iterator[Block]:
 
 def given(page: Path) -> list[str]:
     """What the folder of the page has from the beginning."""
-    comment = re.search(r"<!-- given: ([^>]*?) -->", page.read_text(encoding="utf-8"))
+    comment = re.search(r"<!-- given: ([^>]*?) -->", page.read_text("utf-8"))
     if comment is None:
         return []
     return comment[1].split(", ")
@@ -188,7 +188,7 @@ def run_line(line: str) -> tuple[str, int]:
     if mark == "|":
         text, _ = run_shell(target, text)
     elif mark == ">":
-        Path(target.strip()).write_text(text, encoding="utf-8")
+        Path(target.strip()).write_text(text, "utf-8")
         text = ""
     return text, code
 
@@ -262,7 +262,7 @@ def load_yaml(block: Block, whole: str) -> str:
         with contextlib.suppress(UnbendError):
             load_text(yaml.safe_load(mission) | text)
             return whole
-    of_two_cameras = (REPOSITORY / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
+    of_two_cameras = (REPOSITORY / "configs" / "sample_bin.yaml").read_text("utf-8")
     load_text(yaml.safe_load(of_two_cameras) | text)
     return whole
 
@@ -271,7 +271,7 @@ def load_text(text: dict[str, object]) -> None:
     """Load a mission file as `run` does; raises what is wrong with it."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "mission.yaml")
-        file.write_text(yaml.safe_dump(text, sort_keys=False), encoding="utf-8")
+        file.write_text(yaml.safe_dump(text, sort_keys=False), "utf-8")
         load_mission(file)
 
 
@@ -297,7 +297,7 @@ def run_block(block: Block, page: Path, whole: str, differences: list[Difference
     if block.title:
         file = Path(block.title)
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(block.body, encoding="utf-8")
+        file.write_text(block.body, "utf-8")
     if block.kind == "console":
         run_console(block, differences)
     elif block.kind == "sh":
@@ -413,8 +413,8 @@ def main() -> int:
             print(f"{page}\n--- shown\n{difference.shown}--- printed\n{difference.printed}")
         bad += len(differences)
         if write and differences:
-            text = page.read_text(encoding="utf-8")
-            page.write_text(written(text, differences), encoding="utf-8")
+            text = page.read_text("utf-8")
+            page.write_text(written(text, differences), "utf-8")
     shutil.rmtree(ready)
     return int(bad > 0)
 

@@ -305,7 +305,7 @@ def document(names: list[str], columns: list[tuple[Numbers, Numbers, Numbers]]) 
 def main() -> None:
     airs = real_airs()
     columns = [column(air, seed) for seed, air in enumerate(airs, start=1)]
-    DOCUMENT.write_text(document([air.name[2:] for air in airs], columns), encoding="utf-8")
+    DOCUMENT.write_text(document([air.name[2:] for air in airs], columns), "utf-8")
 
 
 if __name__ == "__main__":

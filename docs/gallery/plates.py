@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-FOLDER = Path(__file__).resolve().parents[1] / "pages" / "gallery"
+FOLDER = Path(__file__).resolve().parents[1] / "pages/gallery"
 BLUE = "#3b8ec9"
 ORANGE = "#e58a1f"
 GREEN = "#3aa678"
@@ -22,7 +22,7 @@ THEMES = {"light": ("#333333", "#d9d9d9"), "dark": ("#dddddd", "#50566a")}  # wo
 
 
 def save(name: str, title: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
-    """A picture in both themes; returns what stands on the page for it."""
+    """A picture in both themes; returns what the page has for it."""
     links = ""
     for theme, (words, lines) in THEMES.items():
         file = f"{name}-{theme}.png"
@@ -79,7 +79,7 @@ def table(rows: list[list[str]]) -> str:
 
 def numbers_of(name: str) -> list[list[str]]:
     """The table of a script that the page has."""
-    page = FOLDER.joinpath("index.md").read_text(encoding="utf-8")
+    page = FOLDER.joinpath("index.md").read_text("utf-8")
     section = page.split(f"docs/gallery/{name}.py")[1].split("## ")[0]
     rows = []
     for line in section.splitlines():

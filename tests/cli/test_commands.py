@@ -21,24 +21,11 @@ from .printed import longest, one_line, strict_json
 
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
-COMMANDS = [
-    "init",
-    "check",
-    "run",
-    "export",
-    "status",
-    "report",
-    "verify",
-    "stations",
-    "inspect",
-    "profile",
-    "angle",
-    "tables",
-    "simulate",
-    "help",
-    "schema",
-    "warm",
-]
+NAMES = """
+    init check run export status report verify stations
+    inspect profile angle tables simulate help schema warm
+"""
+COMMANDS = NAMES.split()
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -55,7 +42,8 @@ def test_the_help_is_the_manual(unbend):
     assert longest(text) <= 80
     lines = []
     for group in GROUPS:
-        lines += text.partition(f"{group}:\n")[2].partition("\n\n")[0].splitlines()
+        section = text.partition(f"{group}:\n")[2]
+        lines += section.partition("\n\n")[0].splitlines()
     assert [line.split()[0] for line in lines] == COMMANDS
     for line in lines:
         assert line.endswith(".")
@@ -102,7 +90,10 @@ def test_a_command_that_cannot_be_obeyed(unbend, words):
 def angle_words(changes: dict[str, object]) -> list[str]:
     """An angle that can be had, with other values."""
     values = {"--camera-height": 3000, "--ground-height": 0, "--nadir-angle": 45} | changes
-    return ["angle", *(f"{option}={value}" for option, value in values.items())]
+    words = ["angle"]
+    for option, value in values.items():
+        words.append(f"{option}={value}")
+    return words
 
 
 @pytest.fixture
@@ -159,8 +150,11 @@ def landing(zeta: float, *, far: bool) -> tuple[float, float]:
     """East and up of where a straight line from 3 km enters, or leaves, the sphere at 1 km [m]."""
     r_c = 6_374_000.0
     r_g = 6_372_000.0
-    half = math.sqrt((r_c * math.cos(zeta)) ** 2 - (r_c - r_g) * (r_c + r_g))
-    s = r_c * math.cos(zeta) + (half if far else -half)
+    down = r_c * math.cos(zeta)
+    half = math.sqrt(down**2 - (r_c - r_g) * (r_c + r_g))
+    s = down - half
+    if far:
+        s = down + half
     return s * math.sin(zeta), -s * math.cos(zeta)
 
 
@@ -329,7 +323,8 @@ def test_profile_of_a_standard(obeyed, tmp_path):
     assert ground["temperature_k"] == pytest.approx(288.15, abs=2.0)
     for name in ("temperature_k", "pressure_pa", "vapour_pressure_pa", "refractivity"):
         assert rows[f"standard_{name}"].equals(rows[name])
-    isothermal = rows[rows["equation"].astype(str).str.startswith("53") & (rows["h_m"] < 21_000)]
+    by_equation_53 = rows["equation"].astype(str).str.startswith("53")
+    isothermal = rows[by_equation_53 & (rows["h_m"] < 21_000)]
     assert len(isothermal) > 0
     assert isothermal["temperature_k"].to_numpy() == pytest.approx(216.65, abs=1e-9)
 

@@ -14,7 +14,7 @@ import pytest
 from pymavlink.DFReader import DFReader_binary
 
 
-def rows_of_library(path, kind: str) -> list[dict[str, object]]:
+def rows_of_library(path: Path, kind: str) -> list[dict]:
     """The messages of a type as pymavlink reads them."""
     rows = []
     with contextlib.closing(DFReader_binary(str(path))) as reader:
@@ -86,9 +86,11 @@ def test_names_as_printed_upper_or_lower_case(inspect, name, words):
 
 
 def test_topics_upper_or_lower_case(unbend, flown):
-    topic = unbend("inspect", flown.logs["mcap"], "--type", "/CABIN/pressure", "--csv")
+    words = ("--type", "/CABIN/pressure", "--csv")
+    topic = unbend("inspect", flown.logs["mcap"], *words)
     assert topic.code == 0
-    assert "fluid_pressure" in topic.out.splitlines()[0]
+    head = topic.out.splitlines()[0]
+    assert "fluid_pressure" in head
 
 
 def test_fields_without_csv(inspect, log):
@@ -99,8 +101,9 @@ def test_fields_without_csv(inspect, log):
     content = json.loads(inspect("BARO", "--json").out)
     expected = pd.DataFrame(rows_of_library(log, "BARO"))
     assert content["rows"] == len(expected)
-    (pressure,) = (field for field in content["fields"] if field["field"] == "Press")
-    assert float(pressure["lowest"]) == expected["Press"].min()
+    fields = {field["field"]: field for field in content["fields"]}
+    lowest = float(fields["Press"]["lowest"])
+    assert lowest == expected["Press"].min()
 
 
 @pytest.mark.parametrize("more", [(), ("--csv",)], ids=str)

@@ -106,7 +106,7 @@ def test_compare_in_a_terminal(obeyed):
 
 def test_compare_writes_page_and_picture(obeyed, tmp_path):
     obeyed("tables", "accuracy", "--atmosphere", "icao", "--out", tmp_path / "other.md")
-    text = (tmp_path / "other.md").read_text(encoding="utf-8")
+    text = (tmp_path / "other.md").read_text("utf-8")
     assert "standard atmosphere icao" in text
     assert "](other.png)" in text
     assert text_hash(text).encode() in (tmp_path / "other.png").read_bytes()

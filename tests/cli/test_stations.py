@@ -50,7 +50,8 @@ def flown(n: int = 40) -> Stations:
 
 
 def printed(stations: Stations, capsys) -> list[str]:
-    print_stations(report_console(), rows_of_stations(stations))
+    rows = rows_of_stations(stations)
+    print_stations(report_console(), rows)
     return [line.strip() for line in capsys.readouterr().out.splitlines()]
 
 
@@ -82,8 +83,9 @@ def test_a_long_name_is_shortened(capsys):
 
 
 def points_of(axis, label: str) -> np.ndarray:
-    (line,) = (line for line in axis.get_lines() if str(line.get_label()).endswith(label))
-    return np.asarray(line.get_xydata())
+    lines = [line for line in axis.get_lines() if str(line.get_label()).endswith(label)]
+    assert len(lines) == 1
+    return np.asarray(lines[0].get_xydata())
 
 
 @pytest.fixture(scope="module")
@@ -112,13 +114,15 @@ def test_the_drawing(track):
     above, beside = flight_figure(stations, track, stretches).axes
 
     suspect = points_of(above, "3 suspect")
-    assert suspect[:, 0] == pytest.approx([179.983, 179.984, 179.985], rel=0, abs=1e-9)
-    assert suspect[:, 1] == pytest.approx(LATITUDE_DEG, rel=1e-7)
+    longitude, latitude = suspect.T
+    assert longitude == pytest.approx([179.983, 179.984, 179.985], rel=0, abs=1e-9)
+    assert latitude == pytest.approx(LATITUDE_DEG, rel=1e-7)
     assert points_of(above, "log")[0] == pytest.approx([179.98, LATITUDE_DEG])
     # A point every 2 s: 6, 8 and 10 s are in the first of the two stretches, none in the other.
     assert len(points_of(above, "suspect stretch")) == 3
     edges = [patch.get_x() for patch in beside.patches]
-    assert edges == pytest.approx([date_of(first), date_of(second)])
+    begins = np.array([first, second], "datetime64[ns]")
+    assert edges == pytest.approx(date2num(begins))
     # The event outside the log has a time and no height: it is at the foot.
     at_foot = []
     for line in beside.get_lines():
@@ -126,10 +130,6 @@ def test_the_drawing(track):
             at_foot += [*line.get_xdata()]
     assert at_foot == [np.datetime64(NINE + 14 * SECOND, "ns")]
     assert above.get_xlabel() == "longitude [deg]"
-
-
-def date_of(time_ns: int) -> float:
-    return date2num(np.datetime64(time_ns, "ns"))
 
 
 def test_the_drawing_does_not_jump_at_the_180th_meridian(track):
@@ -165,8 +165,16 @@ def test_losses_and_refusals_are_those_of_check(unbend, mission, refusal_of):
     rows.loc[0, "image"] = "unknown.tif"
     mission.observe_text(rows.to_csv(index=False))
     ended = unbend("stations", mission.save())
-    assert ended.code == unbend("check", mission.save()).code == 3
+    checked = unbend("check", mission.file)
+    assert ended.code == checked.code == 3
     assert "IMAGES-UNMATCHED" in ended.out
     assert "no camera: 1 unmatched, unknown.tif" in ended.out
     picture = mission.folder / "flight.gif"
-    refusal_of("PLOT-FORMAT", 2, "stations", mission.save(), "--plot", picture)
+    refusal_of(
+        "PLOT-FORMAT",
+        2,
+        "stations",
+        mission.save(),
+        "--plot",
+        picture,
+    )

@@ -88,7 +88,7 @@ def load(tmp_path):
                 section = section.setdefault(name, {})
             section[last] = value
         path = tmp_path / "mission.yaml"
-        path.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+        path.write_text(yaml.safe_dump(values, sort_keys=False), "utf-8")
         return load_mission(path)
 
     return with_changes

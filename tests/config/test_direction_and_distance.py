@@ -28,7 +28,7 @@ output: {path: results}
 def load(tmp_path):
     def attempt(**changes: Any) -> Mission:
         path = tmp_path / "mission.yaml"
-        path.write_text(yaml.safe_dump(yaml.safe_load(BASE) | changes), encoding="utf-8")
+        path.write_text(yaml.safe_dump(yaml.safe_load(BASE) | changes), "utf-8")
         return load_mission(path)
 
     return attempt

@@ -419,7 +419,7 @@ def refused(tmp_path):
     def attempt(content: dict[str, Any] | str) -> ConfigError:
         path = tmp_path / "mission.yaml"
         text = content if isinstance(content, str) else dumped(content)
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, "utf-8")
         begin = time.process_time()
         with pytest.raises(ConfigError) as caught:
             load_mission(path)
@@ -438,7 +438,7 @@ def accepted(tmp_path):
     def load(content: dict[str, Any] | str) -> Mission:
         path = tmp_path / "mission.yaml"
         text = content if isinstance(content, str) else dumped(content)
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, "utf-8")
         return load_mission(path)
 
     return load
@@ -526,37 +526,37 @@ def test_a_misspelt_key_is_refused_with_its_line_and_the_right_one(refused):
     assert right / tried >= 0.95, wrong
 
 
-@pytest.mark.parametrize(
-    "key",
-    [
-        "mission",
-        "log",
-        "observations",
-        "cameras",
-        "mount",
-        "events",
-        "ground",
-        "output",
-        "mission.name",
-        "log.path",
-        "observations.path",
-        "cameras.nadir.width_px",
-        "cameras.nadir.height_px",
-        "cameras.nadir.cx_px",
-        "cameras.nadir.cy_px",
-        "cameras.nadir.calibration",
-        "cameras.nadir.window.cabin",
-        "ground.height",
-        "ground.reference",
-        "output.path",
-        "log.local_origin.lat_deg",
-        "log.local_origin.h_ellipsoid_m",
-        "log.channels.pressure.name",
-        "cameras.nadir.window.cabin.pressure_hpa",
-        "cameras.nadir.principal_distance.reference",
-        "cameras.nadir.principal_distance.reference.temperature_c",
-    ],
-)
+REQUIRED = """
+mission
+log
+observations
+cameras
+mount
+events
+ground
+output
+mission.name
+log.path
+observations.path
+cameras.nadir.width_px
+cameras.nadir.height_px
+cameras.nadir.cx_px
+cameras.nadir.cy_px
+cameras.nadir.calibration
+cameras.nadir.window.cabin
+ground.height
+ground.reference
+output.path
+log.local_origin.lat_deg
+log.local_origin.h_ellipsoid_m
+log.channels.pressure.name
+cameras.nadir.window.cabin.pressure_hpa
+cameras.nadir.principal_distance.reference
+cameras.nadir.principal_distance.reference.temperature_c
+"""
+
+
+@pytest.mark.parametrize("key", REQUIRED.split())
 def test_a_required_key_that_is_missing_is_named(refused, key):
     error = refused(without(FULL, keys_in(key)))
     assert key in error.what
@@ -602,56 +602,50 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
             assert re.search(r"line \d+", error.what), (keys, wrong, error)
 
 
+OUT_OF_RANGE = yaml.safe_load(r"""
+mission.name: [../up, "", a/b, "a\nb"]
+mission.undulation_m: [500.0]
+log.max_gap_s: [0.0, -1.0]
+log.path: ["", "a\0b"]
+output.path: ["a\0b"]
+output.batch_rows: [10]
+cameras.nadir.width_px: [0, 100.5]
+cameras.nadir.fx_px: [-1.0]
+cameras.nadir.calibration: [lab]
+cameras.nadir.window.normal: [[0.0, 0.0, 0.0], [0.0, 1.0, -0.1], [0.0, 1.0]]
+cameras.nadir.window.cabin: [constant, null]
+cameras.nadir.window.shape: [dome]
+cameras.nadir.window.frame: [aircraft]
+cameras.nadir.window.in_calibration: [true]
+cameras.nadir.principal_distance.reference.pressure_hpa: [101325.0]
+cameras.nadir.principal_distance.dc_dp_px_per_hpa: [20.0]
+cameras.nadir.window.cabin.pressure_hpa: [80000.0]
+events.log.nadir.image:
+  - same.tif
+  - "{number}.tif"
+  - "{index.real}"
+  - "{index!r}"
+  - "{index:999999999d}"
+  - "{index"
+events.images.time_zone: [CEST, "+25:00"]
+events.first_image.window.event: [0]
+ground.height: [40000.0]
+ground.reference: [wgs84]
+atmosphere.standard: [us1967]
+atmosphere.index: [edlen]
+refraction.method: [magic]
+refraction.radius_m: [6371.0]
+mount.nadir.sigma_tilt_deg: [-0.1]
+mount.nadir.sigma_yaw_deg: [200.0]
+ground.sigma_m: [-1.0]
+ground.sigma_column: [3.0]
+""")
+OUT_OF_RANGE["mission.name"].append("x" * 300)
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
-    [
-        ("mission.name", "../up"),
-        ("mission.name", ""),
-        ("mission.name", "a/b"),
-        ("mission.name", "a\nb"),
-        ("mission.name", "x" * 300),
-        ("mission.undulation_m", 500.0),
-        ("log.max_gap_s", 0.0),
-        ("log.max_gap_s", -1.0),
-        ("log.path", ""),
-        ("log.path", "a\0b"),
-        ("output.path", "a\0b"),
-        ("output.batch_rows", 10),
-        ("cameras.nadir.width_px", 0),
-        ("cameras.nadir.width_px", 100.5),
-        ("cameras.nadir.fx_px", -1.0),
-        ("cameras.nadir.calibration", "lab"),
-        ("cameras.nadir.window.normal", [0.0, 0.0, 0.0]),
-        ("cameras.nadir.window.normal", [0.0, 1.0, -0.1]),
-        ("cameras.nadir.window.normal", [0.0, 1.0]),
-        ("cameras.nadir.window.cabin", "constant"),
-        ("cameras.nadir.window.cabin", None),
-        ("cameras.nadir.window.shape", "dome"),
-        ("cameras.nadir.window.frame", "aircraft"),
-        ("cameras.nadir.window.in_calibration", True),
-        ("cameras.nadir.principal_distance.reference.pressure_hpa", 101325.0),
-        ("cameras.nadir.principal_distance.dc_dp_px_per_hpa", 20.0),
-        ("cameras.nadir.window.cabin.pressure_hpa", 80000.0),
-        ("events.log.nadir.image", "same.tif"),
-        ("events.log.nadir.image", "{number}.tif"),
-        ("events.log.nadir.image", "{index.real}"),
-        ("events.log.nadir.image", "{index!r}"),
-        ("events.log.nadir.image", "{index:999999999d}"),
-        ("events.log.nadir.image", "{index"),
-        ("events.images.time_zone", "CEST"),
-        ("events.images.time_zone", "+25:00"),
-        ("events.first_image.window.event", 0),
-        ("ground.height", 40000.0),
-        ("ground.reference", "wgs84"),
-        ("atmosphere.standard", "us1967"),
-        ("atmosphere.index", "edlen"),
-        ("refraction.method", "magic"),
-        ("refraction.radius_m", 6371.0),
-        ("mount.nadir.sigma_tilt_deg", -0.1),
-        ("mount.nadir.sigma_yaw_deg", 200.0),
-        ("ground.sigma_m", -1.0),
-        ("ground.sigma_column", 3.0),
-    ],
+    [(key, value) for key, values in OUT_OF_RANGE.items() for value in values],
 )
 def test_a_value_out_of_range_is_refused(refused, key, value):
     assert key in refused(changed(FULL, keys_in(key), value)).what

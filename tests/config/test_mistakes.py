@@ -18,7 +18,7 @@ from unbend.config.mistakes import sentences_of
 from unbend.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
-BASE = yaml.safe_load((ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8"))
+BASE = yaml.safe_load((ROOT / "configs" / "sample_bin.yaml").read_text("utf-8"))
 BASE |= yaml.safe_load("""
 stations: {trajectory: {path: a.pos, point: antenna, lever_arm_m: [0.0, 0.0, 0.0]}}
 atmosphere:
@@ -75,7 +75,7 @@ def refusal(tmp_path):
     def attempt(content: dict[str, Any] | str) -> ConfigError:
         text = content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False)
         path = tmp_path / "mission.yaml"
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, "utf-8")
         with pytest.raises(ConfigError) as caught:
             load_mission(path)
         return caught.value
@@ -85,7 +85,7 @@ def refusal(tmp_path):
 
 def test_the_file_that_is_spoilt_is_sound(tmp_path):
     path = tmp_path / "mission.yaml"
-    path.write_text(yaml.safe_dump(BASE), encoding="utf-8")
+    path.write_text(yaml.safe_dump(BASE), "utf-8")
     load_mission(path)
 
 
@@ -233,7 +233,7 @@ def test_what_a_window_refuses_is_said_of_its_key(window, key, refusal):
 )
 def test_a_decimal_comma_is_named_wherever_a_number_is_expected(before, after, says, refusal):
     """In braces YAML takes the comma for the end of the number: the text is looked at."""
-    text = (ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
+    text = (ROOT / "configs" / "sample_bin.yaml").read_text("utf-8")
     assert before in text
     error = refusal(text.replace(before, after, 1))
     assert says in error.what
@@ -342,7 +342,7 @@ def test_a_folder_in_the_place_of_a_mission_file_is_named(tmp_path):
         load_mission(tmp_path)
     assert "is a folder, not a mission file" in refusal.value.what
     assert "unbend init" in refusal.value.remedy
-    (tmp_path / "m.yaml").write_text("mission: {name: a}\n", encoding="utf-8")
+    (tmp_path / "m.yaml").write_text("mission: {name: a}\n", "utf-8")
     with refused("CONFIG-UNREADABLE") as refusal:
         load_mission(tmp_path)
     assert refusal.value.remedy == f"name its mission files: {tmp_path}/*.yaml"
@@ -351,8 +351,8 @@ def test_a_folder_in_the_place_of_a_mission_file_is_named(tmp_path):
 def test_results_in_the_place_of_a_mission_file_are_named(tmp_path):
     run = tmp_path / "results"
     run.mkdir()
-    (run / "manifest.json").write_text('{"manifest_version": 1}', encoding="utf-8")
-    (run / "report.html").write_text("<html>", encoding="utf-8")
+    (run / "manifest.json").write_text('{"manifest_version": 1}', "utf-8")
+    (run / "report.html").write_text("<html>", "utf-8")
     for path, kind in (
         (run, "the folder of the results of a run"),
         (run / "manifest.json", "a file of the results of a run"),
@@ -368,7 +368,7 @@ def test_a_mission_file_of_another_ending_is_read(tmp_path):
     tree = json.dumps(BASE)
     for name in ("mission.json", "mission.txt.yaml", "mission"):
         path = tmp_path / name
-        path.write_text(tree, encoding="utf-8")
+        path.write_text(tree, "utf-8")
         assert load_mission(path).mission.name == BASE["mission"]["name"]
 
 

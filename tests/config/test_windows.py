@@ -54,7 +54,7 @@ def load(tmp_path):
 
     def from_file(content: dict[str, Any]) -> Mission:
         path = tmp_path / "mission.yaml"
-        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        path.write_text(yaml.safe_dump(content, sort_keys=False), "utf-8")
         return load_mission(path)
 
     return from_file

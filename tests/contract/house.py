@@ -147,7 +147,7 @@ def limit_of(figure: str, module: str) -> float:
 
 def measure_module(path: Path, name: str) -> Module:
     """All figures of a module but those of ruff."""
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text("utf-8")
     tree = ast.parse(text)
     tokens, code_lines = count_tokens(text, tree)
     nodes = list(ast.walk(tree))
@@ -450,7 +450,7 @@ def broken_rules_of_ruff(package: Path) -> Iterator[tuple[str, Place]]:
 
 def read_ratchet(path: Path = RATCHET) -> dict[str, dict[str, float]]:
     """Module -> figure -> what it may be at most, where that is beyond the limit."""
-    ratchet: dict[str, dict[str, float]] = json.loads(path.read_text(encoding="utf-8"))
+    ratchet: dict[str, dict[str, float]] = json.loads(path.read_text("utf-8"))
     return ratchet
 
 
@@ -525,7 +525,7 @@ def write_ratchet(
         worse = worse_than(ratchet, beyond)
         if worse:
             return worse
-    path.write_text(json.dumps(beyond, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(beyond, indent=1, sort_keys=True) + "\n", "utf-8")
     return []
 
 

@@ -57,7 +57,7 @@ def several(files: dict[str, list[str]]) -> dict[str, list[str]]:
 def test_no_two_public_classes_have_the_same_name():
     files: dict[str, list[str]] = defaultdict(list)
     for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in ast.parse(path.read_text("utf-8")).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 files[node.name].append(path.relative_to(PACKAGE).as_posix())
     twice = several(files)
@@ -78,7 +78,7 @@ def test_the_same_choices_stand_in_one_order() -> None:
     """Python keeps one of several ``Literal`` that are equal: the schema would follow imports."""
     orders: dict[frozenset[str], str] = {}
     for path in sorted(PACKAGE.rglob("*.py")):
-        for choices in re.findall(r"Literal\[([^\]]*)\]", path.read_text(encoding="utf-8")):
+        for choices in re.findall(r"Literal\[([^\]]*)\]", path.read_text("utf-8")):
             names = frozenset(map(str.strip, choices.split(",")))
             assert orders.setdefault(names, choices) == choices, path
 
@@ -116,7 +116,7 @@ ALLOWED = {
 
 def rules_broken(source: str, folder: Path) -> set[str]:
     path = folder / "module.py"
-    path.write_text(source + "\n", encoding="utf-8")
+    path.write_text(source + "\n", "utf-8")
     return {place.rule for place in house.measure_module(path, "module.py").places}
 
 
@@ -148,7 +148,7 @@ def test_the_ratchet_only_falls(tmp_path):
     path = tmp_path / "module.py"
 
     def write(source: str) -> list[str]:
-        path.write_text(source, encoding="utf-8")
+        path.write_text(source, "utf-8")
         module = house.measure_module(path, "m.py")
         return house.write_ratchet({"m.py": module}, {}, ratchet)
 
@@ -163,7 +163,7 @@ def test_the_ratchet_only_falls(tmp_path):
 def test_a_module_that_moved_keeps_its_figures(tmp_path):
     ratchet = tmp_path / "house.json"
     path = tmp_path / "module.py"
-    path.write_text("import a as b\n", encoding="utf-8")
+    path.write_text("import a as b\n", "utf-8")
     before = {"old.py": house.measure_module(path, "old.py")}
     moved = {"new.py": house.measure_module(path, "new.py")}
     house.write_ratchet(before, {}, ratchet)

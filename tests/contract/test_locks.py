@@ -18,12 +18,12 @@ from bounds import at_fault
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = ROOT / ".locks"
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 FILES = ("main", "cluster", "build", "test")
 
 
 def text_of(name: str) -> str:
-    return (LOCKS / f"{name}.txt").read_text(encoding="utf-8")
+    return (LOCKS / f"{name}.txt").read_text("utf-8")
 
 
 def pins(name: str) -> set[tuple[str, str]]:

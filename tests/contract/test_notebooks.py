@@ -41,7 +41,7 @@ def test_a_notebook_prints_what_it_shows(name):
 
 @pytest.mark.parametrize("name", PATHS)
 def test_a_notebook_is_kept_without_what_belongs_to_a_machine(name):
-    notebook = json.loads(PATHS[name].read_text(encoding="utf-8"))
+    notebook = json.loads(PATHS[name].read_text("utf-8"))
     assert set(notebook["metadata"]) == {"kernelspec", "language_info"}
     for cell in notebook["cells"]:
         assert not MACHINE.search("".join(cell["source"]))
@@ -86,7 +86,7 @@ def notebook_that_prints(text):
 def test_another_output_is_noticed(tmp_path):
     shown = notebook_that_prints("1\n")
     file = tmp_path / "a.ipynb"
-    file.write_text(json.dumps(shown), encoding="utf-8")
+    file.write_text(json.dumps(shown), "utf-8")
     assert notebooks.differences(file, shown) == []
     now = notebook_that_prints("2\n")
     (difference,) = notebooks.differences(file, now)

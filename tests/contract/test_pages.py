@@ -13,7 +13,7 @@ FENCE = re.compile(r"^```pycon\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
 def text_of(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
+    return path.read_text("utf-8")
 
 
 PAGES = [path for path in sorted(ROOT.glob("docs/**/*.md")) if FENCE.search(text_of(path))]
@@ -23,9 +23,10 @@ def examples(page: str) -> str:
     """The fences of a page, each line at its place; one fence follows from another."""
     text = ""
     for fence in FENCE.finditer(page):
-        line = page.count("\n", 0, fence.start(1))
-        missing = line - text.count("\n")
-        text += "\n" * missing + fence[1]
+        before = page[: fence.start(1)]
+        missing = before.count("\n") - text.count("\n")
+        text += "\n" * missing
+        text += fence[1]
     return text
 
 

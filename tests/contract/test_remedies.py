@@ -32,7 +32,7 @@ def words_of_remedies() -> dict[str, set[str]]:
     """Every word with an underscore in a remedy of the package, and the files that have it."""
     files: dict[str, set[str]] = {}
     for path in PACKAGE.rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = ast.parse(path.read_text("utf-8"))
         for node in filter(is_remedy, ast.walk(tree)):
             for part in ast.walk(node.value):
                 text = ""

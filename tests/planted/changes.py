@@ -15,7 +15,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-ARITHMETIC = {ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*")}
+ARITHMETIC = {
+    ast.Add: ("+", "-"),
+    ast.Sub: ("-", "+"),
+    ast.Mult: ("*", "/"),
+    ast.Div: ("/", "*"),
+}
 COMPARISONS: dict[type[ast.cmpop], tuple[str, tuple[str, ...]]] = {
     ast.Lt: ("<", ("<=", ">")),
     ast.LtE: ("<=", ("<", ">=")),
@@ -28,26 +33,11 @@ COMPARISONS: dict[type[ast.cmpop], tuple[str, tuple[str, ...]]] = {
     ast.In: ("in", ("not in",)),
     ast.NotIn: ("not in", ("in",)),
 }
-REMOVED_CALLS = {
-    "abs",
-    "fabs",
-    "absolute",
-    "cos",
-    "sin",
-    "tan",
-    "sqrt",
-    "radians",
-    "degrees",
-    "deg2rad",
-    "rad2deg",
-    "sorted",
-    "exp",
-    "log",
-    "floor",
-    "ceil",
-    "round",
-    "unwrap",
-}
+NAMES_OF_REMOVED_CALLS = """
+    abs fabs absolute cos sin tan sqrt radians degrees deg2rad rad2deg
+    sorted exp log floor ceil round unwrap
+"""
+REMOVED_CALLS = set(NAMES_OF_REMOVED_CALLS.split())
 EXCHANGED_CALLS = {
     "min": "max",
     "max": "min",

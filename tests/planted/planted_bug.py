@@ -24,7 +24,7 @@ class Bug:
 
 def read_bugs(path: Path) -> list[Bug]:
     """The planted bugs of a room."""
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    content = tomllib.loads(path.read_text("utf-8"))
     tests = tuple(content["tests"])
     return [
         Bug(path.stem, index, tests, **entry) for index, entry in enumerate(content["bug"], start=1)

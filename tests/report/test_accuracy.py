@@ -53,25 +53,27 @@ def table(text: str, before: str) -> dict[str, list[str]]:
 
 def test_the_page_is_as_generated(written):
     """After a change of the physics: unbend tables accuracy --out docs/accuracy.md"""
-    assert PAGE.read_text(encoding="utf-8") == written.read_text(encoding="utf-8")
+    assert PAGE.read_text("utf-8") == written.read_text("utf-8")
 
 
 def test_the_picture_belongs_to_the_page():
     picture = PAGE.with_suffix(".png")
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert picture.stat().st_size < 200_000
-    assert description(picture) == text_hash(PAGE.read_text(encoding="utf-8"))
+    page = PAGE.read_text("utf-8")
+    assert description(picture) == text_hash(page)
 
 
 def test_nothing_but_the_page_and_its_picture_is_written(written):
     picture = written.with_suffix(".png")
     assert {*written.parent.iterdir()} == {written, picture}
-    assert description(picture) == text_hash(written.read_text())
+    page = written.read_text("utf-8")
+    assert description(picture) == text_hash(page)
 
 
 def test_the_figures_are_the_known_ones():
     """Check values of the issue: US 1976, Gyer's index, radius 6371 km."""
-    text = PAGE.read_text(encoding="utf-8")
+    text = PAGE.read_text("utf-8")
     exact = table(text, "R_c by `spherical` [arcsec], ground at 0 m:")
     angles = exact["camera"]
     at_45 = angles.index("45°")
@@ -89,7 +91,7 @@ def test_the_figures_are_the_known_ones():
 
 def test_the_tables_of_angles_agree_with_those_of_errors():
     """Every error printed at an angle that is called good is small."""
-    text = PAGE.read_text(encoding="utf-8")
+    text = PAGE.read_text("utf-8")
     good = table(text, "Largest whole degree")
     heights = good.pop("")
     checked = 0
@@ -112,6 +114,6 @@ def test_the_tables_of_angles_agree_with_those_of_errors():
 
 
 def test_no_figure_is_a_minus_zero_or_no_number():
-    text = PAGE.read_text(encoding="utf-8")
+    text = PAGE.read_text("utf-8")
     assert "nan" not in text.split("## Nadir angle up to")[1]
     assert "-0.000 " not in text

@@ -449,7 +449,7 @@ def test_a_plot_is_what_its_name_says(air, tmp_path):
     save_figure(figure, tmp_path / "a.PNG")
     save_figure(figure, tmp_path / "a.svg")
     assert (tmp_path / "a.PNG").read_bytes().startswith(b"\x89PNG")
-    assert (tmp_path / "a.svg").read_text(encoding="utf-8").startswith("<?xml")
+    assert (tmp_path / "a.svg").read_text("utf-8").startswith("<?xml")
 
 
 PROFILE_ROW = yaml.safe_load("""

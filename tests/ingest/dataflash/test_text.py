@@ -22,7 +22,7 @@ def as_text(binary: Path, text: Path) -> None:
     for message in library_messages(DFReader_binary(str(binary))):
         cells = [str(getattr(message, field)) for field in message.get_fieldnames()]
         lines.append(", ".join([message.get_type(), *cells]))
-    text.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    text.write_text("\n".join(lines) + "\n", "utf-8")
 
 
 @pytest.fixture(scope="module", params=at_hand("gps0_lost.bin", "beastayyg_sample.bin"))
