@@ -1,7 +1,5 @@
 """The air of four hours at ten readings a second: its time, and how it grows with the readings."""
 
-from __future__ import annotations
-
 import numpy as np
 from survey import air
 

@@ -1,7 +1,5 @@
 """An unchanged campaign of 1,000 missions beside the parsing of their files, once."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """`check` of ten million observations beside a pass over their names and a run of 20,000 rows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

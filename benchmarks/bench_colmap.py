@@ -1,7 +1,5 @@
 """A database of COLMAP in, corrected and out, beside the same rows as Parquet."""
 
-from __future__ import annotations
-
 import sqlite3
 import statistics
 import subprocess

@@ -1,7 +1,5 @@
 """Logs grown to 110 MB: time and memory of their columns, beside the libraries."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

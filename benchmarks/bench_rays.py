@@ -4,8 +4,6 @@ quad integrates the same formulas written out in plain floats for one layer of d
 times as fast as over the functions of arrays of this package.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

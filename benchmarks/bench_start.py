@@ -1,7 +1,5 @@
 """How long the first answer takes in a new process: importing, and compiling with a cold cache."""
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess

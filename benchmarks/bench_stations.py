@@ -1,7 +1,5 @@
 """20,000 exposures become stations beside the ingest of a log that has 256."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

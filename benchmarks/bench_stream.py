@@ -1,7 +1,5 @@
 """Ten million observations, Parquet to Parquet, beside reading and writing alone."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 

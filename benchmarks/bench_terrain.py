@@ -1,7 +1,5 @@
 """A million rays to an elevation model of a hundred million cells, beside given heights."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The ratios of a run of the benchmarks, and their table at its end."""
 
-from __future__ import annotations
-
 import pytest
 from timing import Ratios
 

@@ -3,8 +3,6 @@
 python benchmarks/dataflash.py LOG.bin [MEGABYTES] [PAIRS]
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import sys

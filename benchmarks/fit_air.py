@@ -14,8 +14,6 @@ the parts of `unbend.atmosphere.air_variation`, so that their sum has the second
 ``--half`` fits one half of the ascents, so that `judge_air.py --half` judges by the other.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

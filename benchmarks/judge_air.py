@@ -9,8 +9,6 @@ what `fit_air.py --half` makes of the other into the package first. ``--every`` 
 N.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import Counter
 from collections.abc import Iterator

@@ -5,8 +5,6 @@
 The library decodes the log as it was, we decode what it grew to: rates are compared.
 """
 
-from __future__ import annotations
-
 import struct
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """A survey of any size for the benchmarks: exposures, a camera, image points."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

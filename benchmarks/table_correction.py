@@ -3,8 +3,6 @@
 Not in `survey.py`, whose import belongs to what `bench_start.py` times.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 

@@ -5,8 +5,6 @@
 pymavlink reads the first 10 MB of it in each pair, we read the whole: rates are compared.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import tempfile

@@ -8,8 +8,6 @@ folder. Kept are the cells, what they print and their pictures; not kept are tim
 numbers of cells, so that a new execution changes nothing else.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -1,7 +1,5 @@
 """The generated parts of the pages: `<!-- generated: what of -->`."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Callable, Iterator

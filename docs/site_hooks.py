@@ -1,7 +1,5 @@
 """Hooks of mkdocs: files outside docs/pages, generated parts and pages, notebooks, equations."""
 
-from __future__ import annotations
-
 import html
 import posixpath
 import re

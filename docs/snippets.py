@@ -11,8 +11,6 @@ run, too. A block with a title is written to the file of that name, mission file
 `<!-- given: flown -->` names. A block below `<!-- slow -->` is left out unless UNBEND_SNIPPETS=all.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

@@ -6,8 +6,6 @@ Blocks of simulated images in the air of nine real soundings, rays by the simula
 by pycolmap: `tests/golden/adjusted_block.py`. Takes one minute.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small simulated mission that tests may copy, spoil and run through the command line."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools

@@ -3,8 +3,6 @@
 Five images of two strips over flat ground, in the files and the words of its own examples.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

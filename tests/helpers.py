@@ -1,7 +1,5 @@
 """What the tests of several rooms need: channels of a log, refusals, messages by their code."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any

@@ -3,8 +3,6 @@
 The heights of levels are integrated here, apart from the package: WGS84 normal gravity.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path

@@ -4,8 +4,6 @@ Compiled kernels take half a minute to make, matplotlib's list of fonts 20 s: bo
 that says so. To be imported before anything imports numba or matplotlib.
 """
 
-from __future__ import annotations
-
 import os
 import site
 

@@ -1,7 +1,5 @@
 """Messages, and the ledger that holds them."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

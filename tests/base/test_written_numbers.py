@@ -1,28 +1,26 @@
 """Numbers and angles as people write them: read whole, or not at all."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
+import yaml
 
 from unbend.written_numbers import angle_of, height_of, number_of
 
+NUMBERS = yaml.safe_load("""
+- ['-89,9', -89.9]
+- ['2.3e-05', 2.3e-05]
+- ['2,3E-5', 2.3e-05]
+- [' +7 ', 7.0]
+- ['.5', 0.5]
+- ['5.', 5.0]
+- ['300034/100', 3000.34]
+- ['0,123', 0.123]
+- ['1234,567', 1234.567]
+""")
 
-@pytest.mark.parametrize(
-    ("text", "number"),
-    [
-        ("-89,9", -89.9),
-        ("2.3e-05", 2.3e-5),
-        ("2,3E-5", 2.3e-5),
-        (" +7 ", 7.0),
-        (".5", 0.5),
-        ("5.", 5.0),
-        ("300034/100", 3000.34),
-        ("0,123", 0.123),
-        ("1234,567", 1234.567),
-    ],
-)
+
+@pytest.mark.parametrize(("text", "number"), NUMBERS)
 def test_numbers(text, number):
     assert number_of(text) == pytest.approx(number, rel=1e-12)
     assert angle_of(text) == pytest.approx(number, rel=1e-12)

@@ -1,7 +1,5 @@
 """How tables are written, by their first lines."""
 
-from __future__ import annotations
-
 import pytest
 
 from unbend.written_tables import BLANKS, form_of

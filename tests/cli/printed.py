@@ -1,7 +1,5 @@
 """What commands print, as tests read it."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -25,7 +23,7 @@ def csv_rows(text: str) -> list[dict[str, str]]:
 def strict_json(text: str) -> dict[str, Any]:
     """JSON as its standard has it: NaN and Infinity are no numbers."""
 
-    def refuse(word: str) -> None:
+    def refuse(word: str):
         raise AssertionError(f"{word} is no JSON")
 
     return json.loads(text, parse_constant=refuse)

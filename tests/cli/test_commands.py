@@ -1,7 +1,5 @@
 """Every command as a person meets it: help, words, numbers, exit codes, eighty columns."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -11,6 +9,7 @@ import sys
 
 import pandas as pd
 import pytest
+import yaml
 
 from unbend import __version__
 from unbend.cli.app import GROUPS
@@ -193,20 +192,20 @@ def test_an_ordinary_angle_says_nothing_of_crossings(angle_of):
     assert "crossing" not in text
 
 
+NO_NUMBERS = yaml.safe_load("""
+- ['--radius', nan, RAY-BAD-MEASUREMENT]
+- ['--radius', inf, RAY-BAD-MEASUREMENT]
+- ['--radius', '0', RAY-BAD-MEASUREMENT]
+- ['--camera-height', inf, RAY-BAD-MEASUREMENT]
+- ['--ground-height', '-inf', RAY-BAD-MEASUREMENT]
+- ['--distance', '-1', ANGLE-DISTANCE]
+- ['--distance', nan, ANGLE-DISTANCE]
+- ['--distance', '0', ANGLE-DISTANCE]
+""")
+
+
 @pytest.mark.parametrize("method", ["spherical", "plane", "gyer1996", "manual"])
-@pytest.mark.parametrize(
-    ("option", "value", "code"),
-    [
-        ("--radius", "nan", "RAY-BAD-MEASUREMENT"),
-        ("--radius", "inf", "RAY-BAD-MEASUREMENT"),
-        ("--radius", "0", "RAY-BAD-MEASUREMENT"),
-        ("--camera-height", "inf", "RAY-BAD-MEASUREMENT"),
-        ("--ground-height", "-inf", "RAY-BAD-MEASUREMENT"),
-        ("--distance", "-1", "ANGLE-DISTANCE"),
-        ("--distance", "nan", "ANGLE-DISTANCE"),
-        ("--distance", "0", "ANGLE-DISTANCE"),
-    ],
-)
+@pytest.mark.parametrize(("option", "value", "code"), NO_NUMBERS)
 def test_an_angle_of_what_is_no_number(unbend, method, option, value, code):
     ended = unbend(*angle_words({"--method": method, option: value}), "--json")
     assert ended.code == 2
@@ -221,18 +220,18 @@ def test_heights_outside_the_profile_are_refused_at_once(refusal_of, heights):
     refusal_of("RAY-OUTSIDE-PROFILE", 2, *angle_words({"--method": "gyer1996"} | heights))
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "code"),
-    [
-        ("--atmosphere", "us1967", "ATMOSPHERE-NAME"),
-        ("--method", "magic", "METHOD-NAME"),
-        ("--index", "edlen", "AIR-INDEX"),
-        ("--nadir-angle", "200", "RAY-BAD-MEASUREMENT"),
-        ("--camera-height", "nan", "RAY-BAD-MEASUREMENT"),
-        ("--camera-height", "1e9", "RAY-OUTSIDE-PROFILE"),
-        ("--nadir-angle", "120", "RAY-MISSES-GROUND"),
-    ],
-)
+IMPOSSIBLE_ANGLES = yaml.safe_load("""
+- ['--atmosphere', us1967, ATMOSPHERE-NAME]
+- ['--method', magic, METHOD-NAME]
+- ['--index', edlen, AIR-INDEX]
+- ['--nadir-angle', '200', RAY-BAD-MEASUREMENT]
+- ['--camera-height', nan, RAY-BAD-MEASUREMENT]
+- ['--camera-height', '1e9', RAY-OUTSIDE-PROFILE]
+- ['--nadir-angle', '120', RAY-MISSES-GROUND]
+""")
+
+
+@pytest.mark.parametrize(("option", "value", "code"), IMPOSSIBLE_ANGLES)
 def test_an_angle_that_does_not_exist(refusal_of, option, value, code):
     text = refusal_of(code, 2, *angle_words({option: value}))
     assert "to do: " in text
@@ -358,18 +357,18 @@ def test_a_profile_that_lost_something_says_so_beside_its_plot(obeyed, mission, 
     assert str(tmp_path / "air.csv") in text
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "exit_code"),
-    [
-        ("", "PROFILE-ARGUMENTS", 2),
-        ("a.yaml --atmosphere us1976", "PROFILE-ARGUMENTS", 2),
-        ("a.yaml", "CONFIG-MISSING", 2),
-        ("--atmosphere mars", "ATMOSPHERE-NAME", 2),
-        ("--atmosphere us1976 --plot air.pdf", "PLOT-FORMAT", 2),
-        ("--atmosphere us1976 --csv none/air.csv", "STORAGE-WRITE", 5),
-        ("--atmosphere us1976 --plot none/air.png", "STORAGE-WRITE", 5),
-    ],
-)
+IMPOSSIBLE_PROFILES = yaml.safe_load("""
+- ['', PROFILE-ARGUMENTS, 2]
+- [a.yaml --atmosphere us1976, PROFILE-ARGUMENTS, 2]
+- [a.yaml, CONFIG-MISSING, 2]
+- ['--atmosphere mars', ATMOSPHERE-NAME, 2]
+- ['--atmosphere us1976 --plot air.pdf', PLOT-FORMAT, 2]
+- ['--atmosphere us1976 --csv none/air.csv', STORAGE-WRITE, 5]
+- ['--atmosphere us1976 --plot none/air.png', STORAGE-WRITE, 5]
+""")
+
+
+@pytest.mark.parametrize(("words", "code", "exit_code"), IMPOSSIBLE_PROFILES)
 def test_a_profile_that_cannot_be_had(refusal_of, words, code, exit_code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     refusal_of(code, exit_code, "profile", *words.split())

@@ -1,7 +1,5 @@
 """`unbend inspect LOG --type NAME`: every message type of a log as a table."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -98,7 +96,8 @@ def test_fields_without_csv(inspect, log):
     assert ended.code == 0
     for words in ("flight.bin, BARO", "Press", "float32", "lowest"):
         assert words in ended.out
-    content = json.loads(inspect("BARO", "--json").out)
+    as_json = inspect("BARO", "--json")
+    content = json.loads(as_json.out)
     expected = pd.DataFrame(rows_of_library(log, "BARO"))
     assert content["rows"] == len(expected)
     fields = {field["field"]: field for field in content["fields"]}

@@ -1,7 +1,5 @@
 """Every option of a command has its effect: none is accepted and then ignored."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import json

@@ -1,7 +1,5 @@
 """Bad input through the command line: a code, what, where and what to do; never a traceback."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -84,7 +82,7 @@ def test_a_value_that_does_not_fit_the_inputs(mission, change, code, words):
 # ---- the log
 
 
-def spoil(mission, name: str, content: bytes) -> None:
+def spoil(mission, name: str, content: bytes):
     (mission.folder / name).write_bytes(content)
     mission.config["log"]["path"] = name
 

@@ -1,7 +1,5 @@
 """`unbend stations`: the table, why stations cannot be used, CSV and drawing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

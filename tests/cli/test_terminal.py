@@ -1,7 +1,5 @@
 """What commands write where: to a terminal, a pipe, as JSON, or nothing."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """A camera by COLMAP's name and parameters, and what does not fit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml
@@ -12,20 +10,20 @@ from unbend.config.metric_cameras import MetricTable
 from unbend.refraction.calibration import MODELS
 
 FORMAT = {"width_px": 4000, "height_px": 3000, "calibration": "laboratory"}
-PARAMS = {
-    "SIMPLE_PINHOLE": [3200.0, 1990.0, 1510.0],
-    "PINHOLE": [3200.0, 3210.0, 1990.0, 1510.0],
-    "SIMPLE_RADIAL": [3200.0, 1990.0, 1510.0, -0.05],
-    "RADIAL": [3200.0, 1990.0, 1510.0, -0.05, 0.01],
-    "OPENCV": [3200.0, 3210.0, 1990.0, 1510.0, -0.05, 0.01, 2e-4, -3e-4],
-    "FULL_OPENCV": [3200.0, 3210.0, 1990.0, 1510.0, 0.08, -0.02, 2e-4, -3e-4, 1e-3, 0.1, -0.01,
-                    1e-3],
-    "SIMPLE_FISHEYE": [1500.0, 1990.0, 1510.0],
-    "FISHEYE": [1500.0, 1510.0, 1990.0, 1510.0],
-    "SIMPLE_RADIAL_FISHEYE": [1500.0, 1990.0, 1510.0, -0.02],
-    "RADIAL_FISHEYE": [1500.0, 1990.0, 1510.0, -0.02, 0.004],
-    "OPENCV_FISHEYE": [1500.0, 1510.0, 1990.0, 1510.0, -0.02, 0.004, -1e-3, 1e-4],
-}  # fmt: skip
+PARAMS = yaml.safe_load("""
+SIMPLE_PINHOLE: [3200.0, 1990.0, 1510.0]
+PINHOLE: [3200.0, 3210.0, 1990.0, 1510.0]
+SIMPLE_RADIAL: [3200.0, 1990.0, 1510.0, -0.05]
+RADIAL: [3200.0, 1990.0, 1510.0, -0.05, 0.01]
+OPENCV: [3200.0, 3210.0, 1990.0, 1510.0, -0.05, 0.01, 0.0002, -0.0003]
+FULL_OPENCV:
+  [3200.0, 3210.0, 1990.0, 1510.0, 0.08, -0.02, 0.0002, -0.0003, 0.001, 0.1, -0.01, 0.001]
+SIMPLE_FISHEYE: [1500.0, 1990.0, 1510.0]
+FISHEYE: [1500.0, 1510.0, 1990.0, 1510.0]
+SIMPLE_RADIAL_FISHEYE: [1500.0, 1990.0, 1510.0, -0.02]
+RADIAL_FISHEYE: [1500.0, 1990.0, 1510.0, -0.02, 0.004]
+OPENCV_FISHEYE: [1500.0, 1510.0, 1990.0, 1510.0, -0.02, 0.004, -0.001, 0.0001]
+""")
 
 
 def test_every_model_is_tried_here():
@@ -59,25 +57,21 @@ def test_pixels_of_another_rule_are_turned_into_colmaps():
     assert (camera.cx_px, camera.cy_px) == (1990.5, 1510.5)
 
 
-@pytest.mark.parametrize(
-    ("keys", "why"),
-    [
-        ("model: OPENCV", "together"),
-        ("params: [1.0]", "together"),
-        ("{model: FOV, params: [3200.0, 1.0, 1.0, 1.0]}", "SIMPLE_PINHOLE"),
-        ("{model: RADIAL, params: [3200.0, 1990.0, 1510.0]}", "RADIAL has 5 parameters"),
-        (
-            "{model: PINHOLE, params: [320.0, 320.0, 1.0, 2.0], f_px: 320.0}",
-            "each of them gives the interior orientation",
-        ),
-        (
-            "{model: SIMPLE_RADIAL, params: [3200.0, 1990.0, 1510.0, 0.0], distortion: {k1: 0.1}}",
-            "each of them gives the interior orientation",
-        ),
-        ("{model: PINHOLE, params: [0.8, 0.8, 0.5, 0.5]}", "10 to 1000000 pixels"),
-        ("{f_px: 3200.0, cx_px: 2000.0}", "cy_px\n  Value error, is missing"),
-    ],
-)
+REFUSED = yaml.safe_load(r"""
+- ['model: OPENCV', together]
+- ['params: [1.0]', together]
+- ['{model: FOV, params: [3200.0, 1.0, 1.0, 1.0]}', SIMPLE_PINHOLE]
+- ['{model: RADIAL, params: [3200.0, 1990.0, 1510.0]}', RADIAL has 5 parameters]
+- - '{model: PINHOLE, params: [320.0, 320.0, 1.0, 2.0], f_px: 320.0}'
+  - each of them gives the interior orientation
+- - '{model: SIMPLE_RADIAL, params: [3200.0, 1990.0, 1510.0, 0.0], distortion: {k1: 0.1}}'
+  - each of them gives the interior orientation
+- ['{model: PINHOLE, params: [0.8, 0.8, 0.5, 0.5]}', '10 to 1000000 pixels']
+- ['{f_px: 3200.0, cx_px: 2000.0}', "cy_px\n  Value error, is missing"]
+""")
+
+
+@pytest.mark.parametrize(("keys", "why"), REFUSED)
 def test_what_does_not_fit_is_refused(keys, why):
     with pytest.raises(ValidationError, match=why):
         CameraSection(**FORMAT, **yaml.safe_load(keys))
@@ -87,7 +81,7 @@ def test_a_camera_of_colmap_may_be_named_by_its_number(tmp_path):
     file = tmp_path / "cameras.txt"
     file.write_text(
         "1 PINHOLE 40 30 100 100 20 15\n7 PINHOLE 4000 3000 3200 3210 2001 1502\n",
-        encoding="utf-8",
+        "utf-8",
     )
     for name in (7, "7"):
         section = CameraSection(file="cameras.txt", camera=name, calibration="laboratory")

@@ -1,7 +1,5 @@
 """Campaign files: what missions share, which they are, and what is refused with its line."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from pathlib import Path
@@ -203,7 +201,7 @@ def test_a_file_that_is_named_twice_is_taken_once(season, mission):
 def test_sections_that_are_replaced_as_a_whole_are_those_of_which_there_are_several():
     places = []
 
-    def walk(node: dict[str, Any], place: str) -> None:
+    def walk(node: dict[str, Any], place: str):
         arms = alternatives(node)
         if sum("properties" in arm for arm in arms) > 1:
             places.append(place)

@@ -1,7 +1,5 @@
 """Values that are sound alone and do not go together: each is refused with what to do."""
 
-from __future__ import annotations
-
 import pytest
 import yaml
 

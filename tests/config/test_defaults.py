@@ -1,7 +1,5 @@
 """What a mission file need not state, each default with its reason; and units on the way in."""
 
-from __future__ import annotations
-
 import math
 import typing
 

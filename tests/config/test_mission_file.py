@@ -1,7 +1,5 @@
 """The mission file: every key misspelt, removed, repeated or given a wrong value."""
 
-from __future__ import annotations
-
 import copy
 import random
 import re
@@ -345,7 +343,7 @@ Keys = tuple[str, ...]
 NAMES = set(FULL["cameras"])
 
 
-def keys_of(tree: Any, above: Keys = ()) -> Iterator[Keys]:
+def keys_of(tree, above: Keys = ()) -> Iterator[Keys]:
     """Every path of keys in a dictionary."""
     if isinstance(tree, dict):
         for key, value in tree.items():
@@ -362,7 +360,7 @@ def is_camera_name(keys: Keys) -> bool:
     }
 
 
-def at(tree: dict[str, Any], keys: Keys) -> Any:
+def at(tree: dict[str, Any], keys: Keys):
     for key in keys:
         tree = tree[key]
     return tree
@@ -372,7 +370,7 @@ def keys_in(dotted: str) -> Keys:
     return tuple(dotted.split("."))
 
 
-def changed(tree: dict[str, Any], keys: Keys, value: Any) -> dict[str, Any]:
+def changed(tree: dict[str, Any], keys: Keys, value) -> dict[str, Any]:
     tree = copy.deepcopy(tree)
     at(tree, keys[:-1])[keys[-1]] = value
     return tree
@@ -444,7 +442,7 @@ def accepted(tmp_path):
     return load
 
 
-def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+def models_in(annotation) -> Iterator[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for argument in typing.get_args(annotation):
@@ -814,31 +812,26 @@ def test_aliases_cannot_swell(refused):
     assert "aliases (*) repeat their sections to more than 1000000 values" in refusal.what
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ("frame: null", "orientation.frame"),
-        ("angles: null", "orientation.angles"),
-        ("heights: null", "give heights (msl or ellipsoid)"),
-        ("frame: ecef", "frame must be geographic"),
-        ("{frame: ecef, angles: quaternion, convergence_deg: 0.0, columns: {}}", "only then"),
-        (
-            "{frame: unknown, angles: quaternion, heights: null, convergence_deg: 0, columns: {}}",
-            "no vertical, no north and no scale",
-        ),
-        (
-            "{frame: unknown, angles: quaternion, known_positions: log}",
-            "not columns.latitude",
-        ),
-        ("{angles: quaternion, frame: ecef}", "convergence_deg is for frame: geographic"),
-        ("frame: projected", "projected needs crs"),
-        ("date: 14.5.2026", "not a date like"),
-        ("columns: {time_utc: t}", "either date, or the columns of time"),
-        ("columns: {gps_week: t}", "both gps_week and gps_seconds"),
-        ("camera: forward", "names camera 'forward'"),
-        ("unit: gon", "grad"),
-    ],
-)
+ORIENTATIONS = yaml.safe_load("""
+- ['frame: null', orientation.frame]
+- ['angles: null', orientation.angles]
+- ['heights: null', 'give heights (msl or ellipsoid)']
+- ['frame: ecef', frame must be geographic]
+- ['{frame: ecef, angles: quaternion, convergence_deg: 0.0, columns: {}}', only then]
+- - '{frame: unknown, angles: quaternion, heights: null, convergence_deg: 0, columns: {}}'
+  - 'no vertical, no north and no scale'
+- ['{frame: unknown, angles: quaternion, known_positions: log}', not columns.latitude]
+- ['{angles: quaternion, frame: ecef}', 'convergence_deg is for frame: geographic']
+- ['frame: projected', projected needs crs]
+- ['date: 14.5.2026', not a date like]
+- ['columns: {time_utc: t}', 'either date, or the columns of time']
+- ['columns: {gps_week: t}', both gps_week and gps_seconds]
+- ['camera: forward', "names camera 'forward'"]
+- ['unit: gon', grad]
+""")
+
+
+@pytest.mark.parametrize(("changes", "words"), ORIENTATIONS)
 def test_an_orientation_that_says_too_little_or_too_much(refused, changes, words):
     orientation = GEOGRAPHIC | yaml.safe_load(changes)
     orientation_section = {key: value for key, value in orientation.items() if value is not None}

@@ -1,7 +1,5 @@
 """The JSON schema: every key has a text, numbers a unit, and it takes what the models take."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -8,8 +8,6 @@ tests. Where that fails, the first dependencies of the list are held to what is 
 list or a quarter at a time, until one is found that makes the difference.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re
@@ -100,7 +98,7 @@ class Trial:
         file.write_text(pinned(held), "utf-8")
         return self.resolved(RESOLUTIONS[self.which], file)
 
-    def install(self, versions: Versions) -> None:
+    def install(self, versions: Versions):
         file = self.venv / "versions.txt"
         file.write_text(pinned(versions), "utf-8")
         self.uv("pip", "sync", "--only-binary", ":all:", file)
@@ -170,7 +168,7 @@ def at_fault(trial: Trial, locked: Versions, suspects: Sequence[str]) -> str | N
     return suspects[works - 1]
 
 
-def main() -> None:
+def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("which", choices=RESOLUTIONS)
     parser.add_argument("--python", default=sys.executable)

@@ -8,8 +8,6 @@ may only fall; ``--write`` refuses to raise one. ``--moved OLD NEW`` with it tak
 of a module that was renamed. A figure is a hint where to look, not the goal: cold readers decide.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import io

@@ -1,7 +1,5 @@
 """Every code stands once, is explained and raised by a test; texts have the values they name."""
 
-from __future__ import annotations
-
 import ast
 import pickle
 import re

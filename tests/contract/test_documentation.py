@@ -3,8 +3,6 @@
 After a change of what is printed: python -m docs.snippets --write
 """
 
-from __future__ import annotations
-
 import html
 import json
 import os
@@ -111,13 +109,13 @@ def test_links_of_the_repository_are_files(page):
 class Links(HTMLParser):
     """Everything that a page of the site links or loads, and its anchors."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.linked: list[str] = []
         self.loaded: list[str] = []
         self.anchors: set[str] = set()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]):
         values = dict(attrs)
         if values.get("id"):
             self.anchors.add(str(values["id"]))
@@ -204,22 +202,22 @@ def entries_of_the_search(site_folder: Path) -> list[dict[str, str]]:
     return entries
 
 
-@pytest.mark.parametrize(
-    ("word", "page"),
-    [
-        ("GCP", "guide/control.html"),
-        ("Agisoft", "formats/metashape_in.html"),
-        ("Metashape", "formats/metashape_in.html"),
-        ("conda", "install.html"),
-        ("docker", "install.html"),
-        ("notebook", "notebooks/arrays.html"),
-        ("Jupyter", "notebooks/block.html"),
-        ("EXIF", "formats/camera_events.html"),
-        ("EVENTS-AMBIGUOUS", "codes/events.html"),
-        ("refraction_angle", "api/index.html"),
-        ("pyproject", "install.html"),
-    ],
-)
+FOUND_ON = yaml.safe_load("""
+- [GCP, guide/control.html]
+- [Agisoft, formats/metashape_in.html]
+- [Metashape, formats/metashape_in.html]
+- [conda, install.html]
+- [docker, install.html]
+- [notebook, notebooks/arrays.html]
+- [Jupyter, notebooks/block.html]
+- [EXIF, formats/camera_events.html]
+- [EVENTS-AMBIGUOUS, codes/events.html]
+- [refraction_angle, api/index.html]
+- [pyproject, install.html]
+""")
+
+
+@pytest.mark.parametrize(("word", "page"), FOUND_ON)
 def test_the_search_finds_a_word_on_its_page(word, page, site_folder):
     found = {
         entry["location"].partition("#")[0]

@@ -3,8 +3,6 @@
 `house.py` beside this file measures and explains; run it with ``-v`` for the places.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys
@@ -74,7 +72,7 @@ def test_modules_of_the_same_name_are_the_same_thing(modules):
     assert set(twice) >= SAME_THING
 
 
-def test_the_same_choices_stand_in_one_order() -> None:
+def test_the_same_choices_stand_in_one_order():
     """Python keeps one of several ``Literal`` that are equal: the schema would follow imports."""
     orders: dict[frozenset[str], str] = {}
     for path in sorted(PACKAGE.rglob("*.py")):

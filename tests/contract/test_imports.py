@@ -1,7 +1,5 @@
 """The rule of the rooms, and how light the package is to import."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The locks hold what pyproject.toml asks for; what is at fault beside them is found."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib

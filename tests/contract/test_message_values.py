@@ -4,8 +4,6 @@ The functions of every `messages.py` are called with values of which no two are 
 stands under the name of another, or in another unit, is noticed.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import itertools
@@ -72,13 +70,13 @@ def values_of(made: Message | UnbendError) -> Mapping[str, Any]:
     return values
 
 
-def test_most_messages_are_tried_here() -> None:
+def test_most_messages_are_tried_here():
     arguments = list(map(distinct_arguments, MAKERS.values()))
     assert arguments.count(None) < 0.2 * len(arguments)
 
 
 @pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
-def test_a_message_carries_each_value_under_its_own_name(maker: Callable[..., Any]) -> None:
+def test_a_message_carries_each_value_under_its_own_name(maker):
     arguments = distinct_arguments(maker)
     if arguments is None or maker.__name__ == "ties_contradict":  # it looks up a code
         return

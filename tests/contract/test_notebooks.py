@@ -1,7 +1,5 @@
 """The notebooks print what they show; a reader gets no path of a machine, no warning, no number."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -1,7 +1,5 @@
 """What a stranger gets: the main names, the licence, one version, a whole distribution."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import re
 import subprocess

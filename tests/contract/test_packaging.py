@@ -1,7 +1,5 @@
 """The conda recipe and the container file agree with pyproject.toml; one field has the address."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from email.message import Message

@@ -1,7 +1,5 @@
 """Every `>>>` on a page of the documentation gives what is printed there."""
 
-from __future__ import annotations
-
 import doctest
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The planted bugs can be planted: each place exists once, and what replaces it still parses."""
 
-from __future__ import annotations
-
 import ast
 import tomllib
 from pathlib import Path
@@ -23,7 +21,7 @@ BUGS = [
 
 
 @pytest.mark.parametrize("room", CONTENTS)
-def test_a_list_of_planted_bugs_names_tests_that_exist(room: str) -> None:
+def test_a_list_of_planted_bugs_names_tests_that_exist(room: str):
     content = CONTENTS[room]
     assert set(content) == {"tests", "bug"}
     assert content["tests"]
@@ -33,7 +31,7 @@ def test_a_list_of_planted_bugs_names_tests_that_exist(room: str) -> None:
 
 
 @pytest.mark.parametrize("bug", BUGS)
-def test_a_bug_can_be_planted(bug: dict[str, Any]) -> None:
+def test_a_bug_can_be_planted(bug: dict[str, Any]):
     assert (
         {"file", "before", "after", "what"}
         <= set(bug)
@@ -49,7 +47,7 @@ def test_a_bug_can_be_planted(bug: dict[str, Any]) -> None:
     assert "first" not in bug or (ROOT / bug["first"]).is_file()
 
 
-def test_every_room_has_planted_bugs() -> None:
+def test_every_room_has_planted_bugs():
     package = ROOT / "pipeline" / "unbend"
     rooms = {path.name for path in package.iterdir() if (path / "__init__.py").is_file()}
     planted = {parameters.values[0]["file"].split("/")[2] for parameters in BUGS}
@@ -58,7 +56,7 @@ def test_every_room_has_planted_bugs() -> None:
     assert len(BUGS) >= 120
 
 
-def test_a_seed_draws_bugs_that_can_be_planted() -> None:
+def test_a_seed_draws_bugs_that_can_be_planted():
     bugs = drawn_bugs(12, seed=1)
     assert bugs == drawn_bugs(12, seed=1) != drawn_bugs(12, seed=2)
     for bug in bugs:
@@ -69,7 +67,7 @@ def test_a_seed_draws_bugs_that_can_be_planted() -> None:
         assert all((ROOT / name).exists() for name in (*bug.nearest, *bug.tests))
 
 
-def test_changes_are_those_of_code_that_decides(tmp_path: Path) -> None:
+def test_changes_are_those_of_code_that_decides(tmp_path: Path):
     path = tmp_path / "module.py"
     path.write_text(
         '''"""A text: 1 < 2."""

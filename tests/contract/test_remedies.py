@@ -1,7 +1,5 @@
 """What a refusal tells the user to write exists: keys of mission files, columns of soundings."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

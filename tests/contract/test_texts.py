@@ -1,7 +1,5 @@
 """Texts for people (ledger, refusals, help, report) are in the third person and of plain words."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

@@ -33,7 +33,7 @@ def name_of(known: dict) -> str:
     return known["message"]
 
 
-def check_channel(log: Log, message: str, expected: dict[str, float]) -> None:
+def check_channel(log: Log, message: str, expected: dict[str, float]):
     """The channel of a message has these values; without any there is none."""
     channels = [channel for channel in log.channels if channel.source.message == message]
     if not expected:

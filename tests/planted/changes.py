@@ -6,8 +6,6 @@ patience) or style a figure. Exchanges of a text with a number are left out too:
 once, and would say nothing about the tests.
 """
 
-from __future__ import annotations
-
 import ast
 import itertools
 import re
@@ -135,7 +133,7 @@ class Change:
 class Source:
     """A module's text, with the place of each node in its bytes."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path):
         self.path = path
         self.content = path.read_bytes()
         self.tree = ast.parse(self.content)

@@ -8,8 +8,6 @@ drawn among all that can be changed, so a room is as frequent as it is long; the
 of change that the line allows; then one of the changes of that kind (`changes.py`).
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import random
@@ -178,7 +176,7 @@ def drawn_bugs(number: int, seed: int, rooms: Sequence[str] = ()) -> list[Bug]:
     return bugs
 
 
-def main() -> None:
+def main():
     """Print the bugs that a seed draws."""
     parser = argparse.ArgumentParser(description="Draw bugs blindly and print them.")
     parser.add_argument("rooms", nargs="*")

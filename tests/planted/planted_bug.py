@@ -1,7 +1,5 @@
 """A planted bug, and the lists of them."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path

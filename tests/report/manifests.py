@@ -1,7 +1,5 @@
 """Manifests of which a test states only what it is about."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from types import NoneType, UnionType
@@ -20,7 +18,7 @@ def manifest_of(values: Mapping[str, Any]) -> Manifest:
     return Manifest(whole, "manifest.json")
 
 
-def filled(kind: Any, value: Any) -> Any:
+def filled(kind, value):
     """A value of a record's field, its own records filled up."""
     origin = get_origin(kind)
     parts = get_args(kind)
@@ -37,7 +35,7 @@ def filled(kind: Any, value: Any) -> Any:
     return value
 
 
-def filled_record(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+def filled_record(kind, values: Mapping[str, Any]) -> dict[str, Any]:
     whole = dict(values)
     for name, hint in get_type_hints(kind).items():
         if name in values:
@@ -47,7 +45,7 @@ def filled_record(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     return whole
 
 
-def empty(kind: Any) -> Any:
+def empty(kind):
     """Nothing of the type of a field."""
     if NoneType in get_args(kind):
         return None

@@ -1,7 +1,5 @@
 """docs/accuracy.md is what the command writes, and says what the figures say."""
 
-from __future__ import annotations
-
 import io
 import re
 import zlib

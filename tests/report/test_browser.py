@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -41,13 +40,13 @@ def browser():
         running.close()
 
 
-def ran(mission: Any, code: int) -> Path:
+def ran(mission, code: int) -> Path:
     ended = mission.run()
     assert ended.code == code, ended.text
     return Path(mission.output)
 
 
-def with_model_and_flagged_rows(mission: Any) -> Path:
+def with_model_and_flagged_rows(mission) -> Path:
     """A mission on an elevation model that covers a part of it, with rows that are no use."""
     cells = 300
     step = 60.0 / 111_000.0
@@ -83,7 +82,7 @@ def with_model_and_flagged_rows(mission: Any) -> Path:
     return ran(mission, 3)
 
 
-def without_log(mission: Any, baseline: Any) -> Path:
+def without_log(mission, baseline) -> Path:
     """A mission whose stations are a table, in the air of a standard."""
     for section in ("log", "mount", "events"):
         del mission.config[section]

@@ -5,7 +5,6 @@ Truth: PROJ for the grid, the IANA database's offsets written by hand for the ti
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pyproj
@@ -22,7 +21,7 @@ from .test_page import flown as flown  # the fixture
 from .text_tables import lines_of
 
 
-def page_with(flown: Any, **mission: str) -> Page:
+def page_with(flown, **mission: str) -> Page:
     manifest = whole_manifest()
     manifest["config"]["mission"] = mission
     return page_of(manifest, flown)

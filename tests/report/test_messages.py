@@ -1,7 +1,5 @@
 """Messages of a log as CSV and as a table of fields, against texts written by hand."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np
@@ -43,5 +41,6 @@ def test_every_cell_of_the_fields():
 
 
 def test_a_type_without_rows():
-    rows = field_rows({"Temp": np.empty(0)})
-    assert rows == [{"field": "Temp", "type": "float64", "first": ""}]
+    (row,) = field_rows({"Temp": np.empty(0)})
+    expected = {"field": "Temp", "type": "float64", "first": ""}
+    assert row == expected

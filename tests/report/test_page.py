@@ -162,7 +162,7 @@ def flown(air) -> Flown:
 class Page(HTMLParser):
     """Tables by the heading above them, list items and paragraphs of a page, and its drawings."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str):
         super().__init__()
         self.text = text
         self.drawings: dict[tuple[str, str], ET.Element] = {}
@@ -185,17 +185,17 @@ class Page(HTMLParser):
         (caption,) = (text for text in self.texts_of("figcaption") if text.startswith(begin))
         return caption
 
-    def handle_starttag(self, tag: str, attrs: Any) -> None:
+    def handle_starttag(self, tag: str, attrs):
         self._cell = self._cell if tag in ("code", "br", "span") else ""
         if tag == "table":
             self.tables.setdefault(self._heading, []).append([])
         elif tag == "tr":
             self.tables[self._heading][-1].append([])
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data: str):
         self._cell += data
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag: str):
         cell = " ".join(self._cell.split())
         if tag in ("td", "th"):
             self.tables[self._heading][-1][-1].append(cell)
@@ -369,7 +369,7 @@ def arrows(path: str) -> np.ndarray:
     return np.array(re.findall(r"M(\S+) (\S+)l(\S+) (\S+)l", path), np.float64)
 
 
-def scale(panel: ET.Element, axis: str, value_of: Any = float) -> Any:
+def scale(panel: ET.Element, axis: str, value_of: Any = float):
     """A function from pixels to values, from the numbers at an axis: x below it, y beside it."""
     anchor = {"x": "middle", "y": "end"}[axis]
     shift = {"x": 0.0, "y": -4.0}[axis]  # a text stands on its line
@@ -394,7 +394,7 @@ def path_of(panel: ET.Element, css: str) -> str:
     return path.get("d", "")
 
 
-def places(panel: ET.Element, css: str, x: Any, y: Any) -> np.ndarray:
+def places(panel: ET.Element, css: str, x, y) -> np.ndarray:
     """(n, 2) values of the points of a path."""
     drawn = points(path_of(panel, css))
     return np.stack([x(drawn[:, 0]), y(drawn[:, 1])], axis=1)

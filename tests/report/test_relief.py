@@ -1,7 +1,5 @@
 """The relief of the map: its shape in metres, and which slopes are bright."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a person reads of a run: what was done to the coordinates, and what they still hold."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """What a run means and what to do next, from the manifests of runs that went well or wrong."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
@@ -43,7 +41,7 @@ def run_to_verdict(mission, code: int) -> tuple[dict[str, Any], str, str]:
     return manifest, verdict, steps
 
 
-def with_heights(mission, heights) -> None:
+def with_heights(mission, heights):
     """Give the ground heights of the measurements as a function of those simulated."""
     table = mission.measurements().to_pandas()
     table["h_g_m"] = heights(table["h_g_m"])

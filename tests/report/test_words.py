@@ -1,7 +1,5 @@
 """How names and numbers are written: nothing of a name steers a terminal, no digit is noise."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys

@@ -1,7 +1,5 @@
 """Tables and lists that a test expects, as texts in which they can be read."""
 
-from __future__ import annotations
-
 
 def lines_of(text: str) -> list[str]:
     """The lines of a text, without indentation and without empty ones."""

@@ -1,7 +1,5 @@
 """DataFlash: damage that leaves whole records, in definitions and instances, is told."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -245,7 +243,7 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(monkeypatch)
     lengths_read = []
     array = FileView.array
 
-    def counted(self: FileView, begin: int, end: int) -> Any:
+    def counted(self: FileView, begin: int, end: int):
         lengths_read.append(end - begin)
         return array(self, begin, end)
 

@@ -16,7 +16,7 @@ from tests.logs import LOGS, at_hand
 from unbend.ingest import Log, open_log
 
 
-def as_text(binary: Path, text: Path) -> None:
+def as_text(binary: Path, text: Path):
     """What a ground station writes: one message a line, scaled fields in their unit."""
     lines = []
     for message in library_messages(DFReader_binary(str(binary))):

@@ -42,7 +42,7 @@ PRESSURES = ("/p", "cdr", AIR, PRESSURE)
 TEMPERATURES = ("/t", "cdr", WARM, TEMPERATURE)
 
 
-def check_entry(log: Log, code: str, **expected: object) -> None:
+def check_entry(log: Log, code: str, **expected: object):
     """The only entry with this code has these values."""
     entry = entry_in(log, code)
     for name, value in expected.items():
