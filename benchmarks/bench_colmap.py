@@ -22,6 +22,32 @@ FEWER = 44_800
 FEW = 1_008
 CAMERA = (1, 14000, 10600, [20000.0, 20000.0, 7000.0, 5300.0])  # COLMAP's PINHOLE
 
+MISSION = """
+mission: {undulation_m: 50.0}
+observations: {path: observations.parquet}
+cameras:
+  frame:
+    width_px: 14000
+    height_px: 10600
+    f_px: 20000.0
+    cx_px: 7000.0
+    cy_px: 5300.0
+    calibration: laboratory
+stations:
+  orientation:
+    path: stations.csv
+    angles: omega_phi_kappa
+    frame: geographic
+    heights: ellipsoid
+    date: "2026-05-14"
+    columns: {camera: camera}
+    sigma_horizontal_m: 0.03
+    sigma_height_m: 0.05
+ground: {height: 300.0, reference: msl}
+atmosphere: {adjust: false}
+output: {path: results}
+"""
+
 _RUN = """
 import sys
 from pathlib import Path
@@ -41,28 +67,23 @@ def write_mission(folder: Path, rows: int, kind: str) -> Path:
     each = rows // IMAGES
     names = [f"{i:05d}.tif" for i in range(IMAGES)]
     xy = rng.uniform(0.0, CAMERA[1:3], (IMAGES, each, 2)).astype("<f4")
-    image = {
-        "width_px": CAMERA[1],
-        "height_px": CAMERA[2],
-        "f_px": 20000.0,
-        "cx_px": 7000.0,
-        "cy_px": 5300.0,
-        "calibration": "laboratory",
-    }
+    mission = yaml.safe_load(MISSION)
+    mission["mission"]["name"] = kind
     if kind == "colmap":
-        image = {"camera": 1, "calibration": "laboratory"}
+        mission["cameras"]["frame"] = {"camera": 1, "calibration": "laboratory"}
+        mission["observations"] = {"path": "database.db", "format": "colmap"}
         write_database(folder / "database.db", names, xy)
-        observations = {"path": "database.db", "format": "colmap"}
     else:
-        observations = {"path": "observations.parquet"}
-        pd.DataFrame(
-            {
-                "image": np.repeat(names, each),
-                "point": [f"{name}:{i}" for name in names for i in range(each)],
-                "x_px": xy[..., 0].ravel().astype(float),
-                "y_px": xy[..., 1].ravel().astype(float),
-            }
-        ).to_parquet(folder / "observations.parquet")
+        points = []
+        for name in names:
+            points += [f"{name}:{i}" for i in range(each)]
+        columns = {
+            "image": np.repeat(names, each),
+            "point": points,
+            "x_px": xy[..., 0].ravel().astype(float),
+            "y_px": xy[..., 1].ravel().astype(float),
+        }
+        pd.DataFrame(columns).to_parquet(folder / "observations.parquet")
     pd.DataFrame(
         {
             "image": names,
@@ -75,26 +96,6 @@ def write_mission(folder: Path, rows: int, kind: str) -> Path:
             "kappa": 0.0,
         }
     ).to_csv(folder / "stations.csv", index=False)
-    mission = {
-        "mission": {"name": kind, "undulation_m": 50.0},
-        "observations": observations,
-        "cameras": {"frame": image},
-        "stations": {
-            "orientation": {
-                "path": "stations.csv",
-                "angles": "omega_phi_kappa",
-                "frame": "geographic",
-                "heights": "ellipsoid",
-                "date": "2026-05-14",
-                "columns": {"camera": "camera"},
-                "sigma_horizontal_m": 0.03,
-                "sigma_height_m": 0.05,
-            }
-        },
-        "ground": {"height": 300.0, "reference": "msl"},
-        "atmosphere": {"adjust": False},
-        "output": {"path": "results"},
-    }
     (folder / "mission.yaml").write_text(yaml.safe_dump(mission), "utf-8")
     return folder
 

@@ -6,7 +6,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import yaml
 
 from unbend.config import load_mission
 from unbend.flight.exposures import Events
@@ -19,32 +18,31 @@ from unbend.tables.observations import open_observations
 
 LOG = Path(__file__).resolve().parents[2] / "shared" / "logs" / "sitl_survey.BIN"
 COUNT = 20_000
+MISSION = """
+mission: {{name: stations}}
+log: {{path: {log}}}
+observations: {{path: observations.parquet}}
+cameras:
+  c:
+    width_px: 6000
+    height_px: 4000
+    f_px: 5000.0
+    cx_px: 3000.0
+    cy_px: 2000.0
+    calibration: laboratory
+mount: {{c: {{}}}}
+events: {{log: {{c: {{channel: "CAM[0]", image: "{{n}}"}}}}}}
+ground: {{height: 500.0, reference: msl}}
+output: {{path: results}}
+"""
 
 
 @pytest.mark.skipif(not LOG.is_file(), reason="../shared/logs is not beside this checkout")
 def test_twenty_thousand_stations_beside_the_ingest_of_a_log(ratios, tmp_path):
     observed = pa.table({"image": ["1"], "point": ["p"], "x_px": [1.0], "y_px": [1.0]})
     pq.write_table(observed, tmp_path / "observations.parquet")
-    camera = {
-        "width_px": 6000,
-        "height_px": 4000,
-        "f_px": 5000.0,
-        "cx_px": 3000.0,
-        "cy_px": 2000.0,
-        "calibration": "laboratory",
-    }
-    config = {
-        "mission": {"name": "stations"},
-        "log": {"path": str(LOG)},
-        "observations": {"path": "observations.parquet"},
-        "cameras": {"c": camera},
-        "mount": {"c": {}},
-        "events": {"log": {"c": {"channel": "CAM[0]", "image": "{n}"}}},
-        "ground": {"height": 500.0, "reference": "msl"},
-        "output": {"path": "results"},
-    }
     path = tmp_path / "mission.yaml"
-    path.write_text(yaml.safe_dump(config), "utf-8")
+    path.write_text(MISSION.format(log=LOG), "utf-8")
     mission = load_mission(path)
     columns = mission.observations.columns.model_dump()
     observations = open_observations(

@@ -363,11 +363,15 @@ class Part:
 
     height_m: np.ndarray
     sigma_k: np.ndarray
-    mixed_sigma_k: np.ndarray
     length_m: float
-    shape: str
     memory_h: float
     reach_km: float
+    mixed_sigma_k: np.ndarray | None = None  # `sigma_k` where it is the same
+    shape: str = "smooth"
+
+    def __post_init__(self):
+        if self.mixed_sigma_k is None:
+            self.mixed_sigma_k = self.sigma_k
 
     def sigma(self, mixed: float) -> np.ndarray:
         """At `HEIGHT_M`, where a share of the air is mixed [K]."""
@@ -405,9 +409,7 @@ class Model:
             "waves": Part(
                 height_m=NODE_M,
                 sigma_k=waves_k,
-                mixed_sigma_k=waves_k,
                 length_m=WAVES_LENGTH_M,
-                shape="smooth",
                 memory_h=waves_h,
                 reach_km=waves_km,
             ),
@@ -416,25 +418,20 @@ class Model:
                 sigma_k=layers_k,
                 mixed_sigma_k=self.in_mixed_air(NODE_M, layers_k),
                 length_m=float(np.exp(self.numbers[LAYERS_LENGTH])),
-                shape="smooth",
                 memory_h=layers_h,
                 reach_km=layers_km,
             ),
             "climate": Part(
                 height_m=np.append(CLIMATE_NODE_M, STRATOSPHERE_M),
                 sigma_k=climate_k,
-                mixed_sigma_k=climate_k,
                 length_m=CLIMATE_LENGTH_M,
-                shape="smooth",
                 memory_h=CLIMATE_MEMORY_H,
                 reach_km=climate_km,
             ),
             "ground": Part(
                 height_m=GROUND_NODE_M,
                 sigma_k=ground_k,
-                mixed_sigma_k=ground_k,
                 length_m=WAVES_LENGTH_M,
-                shape="smooth",
                 memory_h=ground_h,
                 reach_km=ground_km,
             ),
@@ -483,7 +480,8 @@ def residuals_of(moment: Moments, matrix: np.ndarray) -> np.ndarray:
     root = math.sqrt(sigma.size)
     of_matrix = (matrix - moment.matrix) / np.outer(sigma, sigma) / root
     of_r = np.log(variance_of_r(matrix) / moment.r)
-    of_t = np.log(np.diag(matrix) / sigma**2) / root
+    variances = np.diag(matrix) / sigma**2
+    of_t = np.log(variances) / root
     rows = [
         of_matrix.ravel(),
         FUNCTIONAL_WEIGHT * of_r,
@@ -549,7 +547,12 @@ def main() -> None:
     """Read, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)
-    parser.add_argument("--half", type=int, choices=(0, 1), help="fit this half of the ascents")
+    parser.add_argument(
+        "--half",
+        type=int,
+        choices=(0, 1),
+        help="fit this half of the ascents",
+    )
     arguments = parser.parse_args()
     ascents = read_ascents(arguments.folder)
     if arguments.half is not None:

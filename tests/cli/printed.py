@@ -1,7 +1,5 @@
 """What commands print, as tests read it."""
 
-import csv
-import io
 import json
 from typing import Any
 
@@ -14,10 +12,6 @@ def longest(text: str) -> int:
 def one_line(text: str) -> str:
     """A text with single blanks between its words, however it was wrapped."""
     return " ".join(text.split())
-
-
-def csv_rows(text: str) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(text)))
 
 
 def strict_json(text: str) -> dict[str, Any]:

@@ -98,9 +98,6 @@ def opened(tmp_path: Path) -> Callable[[str], Log]:
     return write_and_open
 
 
-TextOpener = Callable[[str], Log]
-
-
 def barometer(second: int, dropped: int) -> str:
     """A row of a barometer and the logger's count at a second since boot."""
     time_us = second * 1_000_000

@@ -41,8 +41,16 @@ class Recording(RosWriter):
         self, boot_ns: int, utc_ns: int, *, stated_utc_ns: int | None = None, fix_type: int = 3
     ):
         """A fix, which may state another UTC than that at which it is sent."""
-        stated_us = (utc_ns if stated_utc_ns is None else stated_utc_ns) // 1000
-        self.send("SensorGps", boot_ns, utc_ns, time_utc_usec=stated_us, fix_type=fix_type, **PLACE)
+        if stated_utc_ns is None:
+            stated_utc_ns = utc_ns
+        self.send(
+            "SensorGps",
+            boot_ns,
+            utc_ns,
+            time_utc_usec=stated_utc_ns // 1000,
+            fix_type=fix_type,
+            **PLACE,
+        )
 
     def attitude(self, boot_ns: int, utc_ns: int):
         self.send(
