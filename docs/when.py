@@ -99,53 +99,17 @@ In the last two rows the calibration was estimated from uncorrected images (cont
 contains refraction. Corrected images then have it twice.
 """
 
-CONCLUSIONS = (
-    (
-        "nadir, control, GNSS and self-calibration",
-        "nadir both calibrated",
-        "absorbed: not needed",
-    ),
-    (
-        "nadir, control alone",
-        "nadir control",
-        "mostly absorbed",
-    ),
-    (
-        "nadir, orientations fixed",
-        "nadir held",
-        "a constant: one number corrects it, or this program",
-    ),
-    (
-        "nadir, GNSS",
-        "nadir gnss",
-        "needed",
-    ),
-    (
-        "five heads (45°), GNSS",
-        "heads gnss",
-        "needed",
-    ),
-    (
-        "five heads, GNSS and self-calibration",
-        "heads gnss calibrated",
-        "needed: self-calibration makes it worse",
-    ),
-    (
-        "five heads, control, GNSS and self-calibration",
-        "heads both calibrated",
-        "needed",
-    ),
-    (
-        "nadir, calibrated in flight at 3 km, used at 6 km",
-        "carried",
-        "calibrate on corrected images",
-    ),
-    (
-        "nadir, calibrated in flight at 6 km",
-        "calibrated here",
-        "never correct on top of it",
-    ),
-)
+CONCLUSIONS = """
+nadir, control, GNSS and self-calibration|nadir both calibrated|absorbed: not needed
+nadir, control alone|nadir control|mostly absorbed
+nadir, orientations fixed|nadir held|a constant: one number corrects it, or this program
+nadir, GNSS|nadir gnss|needed
+five heads (45°), GNSS|heads gnss|needed
+five heads, GNSS and self-calibration|heads gnss calibrated|needed: self-calibration makes it worse
+five heads, control, GNSS and self-calibration|heads both calibrated|needed
+nadir, calibrated in flight at 3 km, used at 6 km|carried|calibrate on corrected images
+nadir, calibrated in flight at 6 km|calibrated here|never correct on top of it
+"""
 """Blocks of the summary, their cases, and what to do."""
 
 Numbers = dict[str, float]
@@ -231,7 +195,8 @@ def summary(before: Table, after: Table, airs: Table) -> str:
         "| block at 6 km | height error [m] | corrected [m] | conclusion |",
         "| :-- | --: | --: | :-- |",
     ]
-    for block, case, conclusion in CONCLUSIONS:
+    for row in CONCLUSIONS.strip().splitlines():
+        block, case, conclusion = row.split("|")
         uncorrected = median(before[case])
         if case == "nadir held":
             uncorrected += f" ± {median(before['nadir less mean'])}"

@@ -243,25 +243,23 @@ def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
     assert refs[1].words == (str(file), "--mission", str(tmp_path / "a" / "m.yaml"))
 
 
-@pytest.mark.parametrize(
-    ("changes", "texts"),
-    [
-        ("campaign: {name: a/b, output: x}", ["line 2: campaign.name"]),
-        ("campaign: {name: a}", ["line 1: campaign.output: is missing"]),
-        ("missions: []", ["missions"]),
-        ("missions: [7]", ["missions[0]"]),
-        ("misions: [a]", ["misions: unknown key; perhaps 'missions'?"]),
-        ("missions: [{mission: {name: x}, lag: 1}]", ["missions[0].lag", "'log'"]),
-        ("missions: [{mission: {name: x}}]", ["missions[0].observations: is missing"]),
-        ("defaults: {atmosfere: {}}", ["defaults.atmosfere", "perhaps 'atmosphere'?"]),
-        (
-            "defaults: {cameras: {nadir: {window: {normal: [1.0, 0.0, 0.0]}}}}",
-            ["defaults.cameras.nadir.window"],
-        ),
-        ("defaults: {output: {batch_rows: many}}", ["defaults.output.batch_rows"]),
-        ("defaults: {output: {batch_rows: TODO}}", ["CONFIG-TODO", "batch_rows"]),
-    ],
-)
+MISTAKES = yaml.safe_load("""
+- ['campaign: {name: a/b, output: x}', ['line 2: campaign.name']]
+- ['campaign: {name: a}', ['line 1: campaign.output: is missing']]
+- ['missions: []', [missions]]
+- ['missions: [7]', ['missions[0]']]
+- ['misions: [a]', ["misions: unknown key; perhaps 'missions'?"]]
+- ['missions: [{mission: {name: x}, lag: 1}]', ['missions[0].lag', "'log'"]]
+- ['missions: [{mission: {name: x}}]', ['missions[0].observations: is missing']]
+- ['defaults: {atmosfere: {}}', [defaults.atmosfere, "perhaps 'atmosphere'?"]]
+- - 'defaults: {cameras: {nadir: {window: {normal: [1.0, 0.0, 0.0]}}}}'
+  - [defaults.cameras.nadir.window]
+- ['defaults: {output: {batch_rows: many}}', [defaults.output.batch_rows]]
+- ['defaults: {output: {batch_rows: TODO}}', [CONFIG-TODO, batch_rows]]
+""")
+
+
+@pytest.mark.parametrize(("changes", "texts"), MISTAKES)
 def test_mistakes_are_refused_with_their_lines(season, changes, texts):
     with pytest.raises(ConfigError) as refusal:
         open_configs([season(changes)])
