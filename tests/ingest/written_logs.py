@@ -34,21 +34,25 @@ def loss_codes(log: Log) -> set[str]:
 
 
 # struct letters and scale of the DataFlash format letters in use here (ArduPilot LogStructure.h)
-LETTERS = {
-    "Q": ("Q", 1),
-    "B": ("B", 1),
-    "I": ("I", 1),
-    "H": ("H", 1),
-    "i": ("i", 1),
-    "f": ("f", 1),
-    "N": ("16s", 1),
-    "a": ("64s", 1),
-    "c": ("h", 100),
-    "C": ("H", 100),
-    "e": ("i", 100),
-    "E": ("I", 100),
-    "L": ("i", 10**7),
-}
+_LETTERS = """
+Q Q 1
+B B 1
+I I 1
+H H 1
+i i 1
+f f 1
+N 16s 1
+a 64s 1
+c h 100
+C H 100
+e i 100
+E I 100
+L i 10000000
+"""
+LETTERS: dict[str, tuple[str, int]] = {}
+for _row in _LETTERS.strip().splitlines():
+    _letter, _code, _scale = _row.split()
+    LETTERS[_letter] = (_code, int(_scale))
 
 
 class DataFlashWriter:

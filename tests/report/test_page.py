@@ -455,13 +455,13 @@ def test_heights_against_time(page, flown, screen):
     assert len(table) == 9
 
 
-BARS = [
-    ("belly", "image", 0, 0.5, [3, 0, 17]),
-    ("belly", "ground", 0, 0.1, [11, 29]),
-    ("tail", "image", 0, 0.2, [5, 31]),
-    ("tail", "ground", 0, 0.1, [2, 37]),
-    ("ground", "height", 350, 100.0, [7, 41, 19]),
-]
+BARS = yaml.safe_load("""
+- [belly, image, 0, 0.5, [3, 0, 17]]
+- [belly, ground, 0, 0.1, [11, 29]]
+- [tail, image, 0, 0.2, [5, 31]]
+- [tail, ground, 0, 0.1, [2, 37]]
+- [ground, height, 350, 100.0, [7, 41, 19]]
+""")
 
 
 @both_screens
@@ -560,17 +560,18 @@ def test_the_table_of_the_air(page):
     assert [float(cell) for cell in standard[1:]] == pytest.approx(row, abs=0.01)
 
 
-ROWS_OF_BUDGET = [  # label, median [px], 95 % [px]
-    ("the shift itself", 1.01, 1.02),
-    ("sigma: air outside", 0.011, 0.022),
-    ("sigma: station", 0.023, 0.046),
-    ("sigma: all parts", 0.031, 0.062),
-    ("the shift itself", 2.01, 2.02),
-    ("sigma: air outside", 0.0051, 0.0102),
-    ("sigma: ground height", 0.0071, 0.0142),
-    ("sigma: air in cabin", 0.0083, 0.0166),
-    ("sigma: all parts", 0.0097, 0.0194),
-]
+# label, median [px], 95 % [px]
+ROWS_OF_BUDGET = yaml.safe_load("""
+- [the shift itself, 1.01, 1.02]
+- ["sigma: air outside", 0.011, 0.022]
+- ["sigma: station", 0.023, 0.046]
+- ["sigma: all parts", 0.031, 0.062]
+- [the shift itself, 2.01, 2.02]
+- ["sigma: air outside", 0.0051, 0.0102]
+- ["sigma: ground height", 0.0071, 0.0142]
+- ["sigma: air in cabin", 0.0083, 0.0166]
+- ["sigma: all parts", 0.0097, 0.0194]
+""")
 
 
 def test_the_budget_is_drawn_in_its_rows(page):
