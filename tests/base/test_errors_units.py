@@ -37,10 +37,16 @@ def test_a_refusal_without_place_and_remedy_is_one_line():
     assert str(errors.LogError("A-B", "what")) == "A-B: what"
 
 
-@pytest.mark.parametrize(
-    ("name", "code"),
-    [("DONE", 0), ("BUG", 1), ("LOSSES", 3), ("INTERRUPTED", 130), ("TERMINATED", 143)],
-)
+OTHER_EXIT_CODES = yaml.safe_load("""
+- [DONE, 0]
+- [BUG, 1]
+- [LOSSES, 3]
+- [INTERRUPTED, 130]
+- [TERMINATED, 143]
+""")
+
+
+@pytest.mark.parametrize(("name", "code"), OTHER_EXIT_CODES)
 def test_the_other_exit_codes(name, code):
     assert getattr(exit_codes, f"EXIT_{name}") == code
 

@@ -251,15 +251,15 @@ def test_a_camera_in_millimetres_is_led_to_its_section(key, says, refusal):
     assert re.search(says, error.what)
 
 
-@pytest.mark.parametrize(
-    ("place", "says"),
-    [
-        ("mount.nadir.roll_rad", "perhaps 'roll_deg', in degrees?"),
-        ("mount.nadir.lever_arm_mm", "perhaps 'lever_arm_m', in metres?"),
-        ("mission.undulation_ft", "perhaps 'undulation_m', in metres?"),
-        ("cameras.nadir.fx_pix", "perhaps 'fx_px'?"),
-    ],
-)
+OTHER_UNITS = yaml.safe_load("""
+- [mount.nadir.roll_rad, "perhaps 'roll_deg', in degrees?"]
+- [mount.nadir.lever_arm_mm, "perhaps 'lever_arm_m', in metres?"]
+- [mission.undulation_ft, "perhaps 'undulation_m', in metres?"]
+- [cameras.nadir.fx_pix, "perhaps 'fx_px'?"]
+""")
+
+
+@pytest.mark.parametrize(("place", "says"), OTHER_UNITS)
 def test_a_key_in_another_unit_is_led_to_the_key_and_its_unit(place, says, refusal):
     error = refusal(spoilt(tuple(place.split(".")), 1.0))
     assert says in error.what

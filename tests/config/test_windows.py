@@ -194,22 +194,18 @@ def test_an_opening_in_si(load):
     assert not camera.needs_cabin_from_log
 
 
-@pytest.mark.parametrize(
-    ("keys", "words"),
-    [
-        ("opening: {}", "opening.warmer_k: is missing"),
-        ("opening: {warmer_k: 70.0}", "opening.warmer_k"),
-        ("opening: {warmer_k: 5.0, normal: [0.0, 0.0, -1.0]}", "third component"),
-        (
-            "opening: {warmer_k: 5.0, frame: body, normal: [1.0, 0.0, 0.0]}",
-            "the opening of camera 'nadir' has a normal away",
-        ),
-        (
-            "{opening: {warmer_k: 5.0}, window: {cabin: log}}",
-            "window and opening: the camera looks through only one of them",
-        ),
-    ],
-)
+IMPOSSIBLE_OPENINGS = yaml.safe_load("""
+- ['opening: {}', 'opening.warmer_k: is missing']
+- ['opening: {warmer_k: 70.0}', opening.warmer_k]
+- ['opening: {warmer_k: 5.0, normal: [0.0, 0.0, -1.0]}', third component]
+- - 'opening: {warmer_k: 5.0, frame: body, normal: [1.0, 0.0, 0.0]}'
+  - "the opening of camera 'nadir' has a normal away"
+- - '{opening: {warmer_k: 5.0}, window: {cabin: log}}'
+  - 'window and opening: the camera looks through only one of them'
+""")
+
+
+@pytest.mark.parametrize(("keys", "words"), IMPOSSIBLE_OPENINGS)
 def test_openings_that_cannot_be(load, keys, words):
     assert words in refusal(load, config(**yaml.safe_load(keys)))
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 import unbend
 
@@ -89,16 +90,16 @@ def test_texts_have_no_first_or_second_person():
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("name the sensor in your file", ["your"]),
-        ("We took what I found", ["We", "I"]),
-        ("did you mean x", ["you"]),
-        ("US 1976 errs by 0.3 K; the column i is in us [us]", ["us"]),
-        ("1500 us late, time [us], minerals", []),
-    ],
-)
+WITH_PERSONS = yaml.safe_load("""
+- [name the sensor in your file, [your]]
+- [We took what I found, [We, 'I']]
+- [did you mean x, [you]]
+- ['US 1976 errs by 0.3 K; the column i is in us [us]', [us]]
+- ['1500 us late, time [us], minerals', []]
+""")
+
+
+@pytest.mark.parametrize(("text", "words"), WITH_PERSONS)
 def test_persons_are_noticed(text, words):
     assert persons_in(text) == words
 
@@ -248,16 +249,16 @@ def test_texts_of_the_program_have_plain_words():
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        ("the columns {columns} stand there twice", "stands"),
-        ("is no IGRA file: it begins with {begins!r}", "X is no Y"),
-        ("{count} points lie outside the area of {system}", "lies"),
-        ("give each mission a folder of its own", "own"),
-        ("levels are taken as saturated", "taken for"),
-    ],
-)
+TEXTS_WITH_HABITS = yaml.safe_load("""
+- ['the columns {columns} stand there twice', stands]
+- ['is no IGRA file: it begins with {begins!r}', X is no Y]
+- ['{count} points lie outside the area of {system}', lies]
+- [give each mission a folder of its own, own]
+- [levels are taken as saturated, taken for]
+""")
+
+
+@pytest.mark.parametrize(("text", "name"), TEXTS_WITH_HABITS)
 def test_habits_of_the_program_are_noticed(text, name):
     assert any(found.startswith(name) for found in habits_of_a_text(text))
 
@@ -311,19 +312,19 @@ def test_code_of_a_page_fits_a_small_screen(page):
     assert not [line for line in lines if len(line) > WIDEST_CODE]
 
 
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        ("It is no noise.", "X is no Y"),
-        ("The causes stand in the ledger.", "stands"),
-        ("A file that holds several\ncameras.", "holds"),
-        ("The manifest says so.", "says"),
-        ("The sidecar lies beside it.", "beside"),
-        ("the sensor of which nothing is known", "of which"),
-        ("nine real airs", "airs"),
-        ("* What is left stays in.", "What as a subject"),
-    ],
-)
+SENTENCES_WITH_HABITS = yaml.safe_load(r"""
+- [It is no noise., X is no Y]
+- [The causes stand in the ledger., stands]
+- ["A file that holds several\ncameras.", holds]
+- [The manifest says so., says]
+- [The sidecar lies beside it., beside]
+- [the sensor of which nothing is known, of which]
+- [nine real airs, airs]
+- ['* What is left stays in.', What as a subject]
+""")
+
+
+@pytest.mark.parametrize(("text", "name"), SENTENCES_WITH_HABITS)
 def test_habits_are_noticed(text, name):
     assert any(found.startswith(name) for found in habits_in(text))
 

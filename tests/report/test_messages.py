@@ -3,6 +3,7 @@
 import io
 
 import numpy as np
+import yaml
 
 from unbend.report import message_csv
 from unbend.report.message_csv import field_rows, write_messages_csv
@@ -30,14 +31,17 @@ def test_every_cell_of_the_csv(monkeypatch):
         assert stream.getvalue() == expected
 
 
+FIELDS = """
+- {field: time_ns, type: int64, first: "2017-07-14T02:40:00.000000001Z"}
+- {field: Temp, type: float64, first: nan, lowest: "-2.5", highest: "0.1"}
+- {field: Name, type: "<U3", first: "a,b"}
+- {field: "q[0]", type: int16, first: "1", lowest: "1", highest: "6"}
+- {field: "q[1]", type: int16, first: "2", lowest: "2", highest: "5"}
+"""
+
+
 def test_every_cell_of_the_fields():
-    assert field_rows(COLUMNS) == [
-        {"field": "time_ns", "type": "int64", "first": "2017-07-14T02:40:00.000000001Z"},
-        {"field": "Temp", "type": "float64", "first": "nan", "lowest": "-2.5", "highest": "0.1"},
-        {"field": "Name", "type": "<U3", "first": "a,b"},
-        {"field": "q[0]", "type": "int16", "first": "1", "lowest": "1", "highest": "6"},
-        {"field": "q[1]", "type": "int16", "first": "2", "lowest": "2", "highest": "5"},
-    ]
+    assert field_rows(COLUMNS) == yaml.safe_load(FIELDS)
 
 
 def test_a_type_without_rows():

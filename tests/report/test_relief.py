@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import yaml
 
 from unbend.report.flown import relief_of
 
@@ -41,18 +42,18 @@ def plane(east_slope: float, north_slope: float) -> Terrain:
     return Terrain(height)
 
 
-@pytest.mark.parametrize(
-    ("east", "north", "light"),
-    [
-        (0.1, 0.0, 1.0),  # it faces the west, near the light
-        (0.0, -0.1, 1.0),
-        (-0.1, 0.0, -1.0),
-        (0.0, 0.1, -1.0),
-        (0.3, -0.4, 1.4),  # (0.3 + 0.4) / 0.5
-        (0.3, 0.4, -0.2),
-        (1e-4, 0.0, 0.1),  # level land is not exaggerated to hills
-    ],
-)
+SLOPES = yaml.safe_load("""
+- [0.1, 0.0, 1.0]  # it faces the west, near the light
+- [0.0, -0.1, 1.0]
+- [-0.1, 0.0, -1.0]
+- [0.0, 0.1, -1.0]
+- [0.3, -0.4, 1.4]  # (0.3 + 0.4) / 0.5
+- [0.3, 0.4, -0.2]
+- [0.0001, 0.0, 0.1]  # level land is not exaggerated to hills
+""")
+
+
+@pytest.mark.parametrize(("east", "north", "light"), SLOPES)
 def test_slopes_towards_the_north_west_are_bright(east, north, light):
     limits, drawn = relief_of(plane(east, north), LIMITS_DEG)
     np.testing.assert_allclose(drawn, np.tanh(light), atol=0.003)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.ingest.dataflash.walk import walk
 from tests.ingest.written_logs import DataFlashWriter, entry_in
@@ -54,19 +55,19 @@ def test_the_log_is_whole(opened):
     assert losses(opened(flight().data)) == []
 
 
-@pytest.mark.parametrize(
-    ("message", "field", "column"),
-    [
-        ("BARO", "Press", "pressure_pa"),
-        ("HYGR", "Humidity", "relative_humidity"),
-        ("HYGR", "Temp", "temperature_k"),
-        ("GPS", "Alt", "h_msl_m"),
-        ("POS", "Alt", "h_msl_m"),
-        ("GPS", "GMS", "GMS"),
-        ("GPS", "Status", "Status"),
-        ("BARO", "TimeUS", "TimeUS"),
-    ],
-)
+FIELDS = yaml.safe_load("""
+- [BARO, Press, pressure_pa]
+- [HYGR, Humidity, relative_humidity]
+- [HYGR, Temp, temperature_k]
+- [GPS, Alt, h_msl_m]
+- [POS, Alt, h_msl_m]
+- [GPS, GMS, GMS]
+- [GPS, Status, Status]
+- [BARO, TimeUS, TimeUS]
+""")
+
+
+@pytest.mark.parametrize(("message", "field", "column"), FIELDS)
 def test_a_flipped_bit_in_the_name_of_a_field(opened, message, field, column):
     data = bytearray(flight().data)
     name_begins = data.index(
