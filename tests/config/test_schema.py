@@ -71,7 +71,7 @@ def test_keys_of_numbers_have_a_unit_and_its_name_says_the_same():
 
 
 def test_every_default_is_stated_and_every_example_is_taken():
-    whole = mission_schema()
+    whole = dict(mission_schema())
     for key in ("properties", "required", "type", "additionalProperties"):
         whole.pop(key, None)
     for path, key in KEYS.items():
