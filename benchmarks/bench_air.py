@@ -45,13 +45,13 @@ def test_four_hours_at_ten_hertz(ratios):
     samples = flown(ROWS)
     quarter = flown(ROWS // 4)
 
-    def of_all() -> None:
+    def of_all():
         estimate(samples, background)
 
-    def of_a_quarter() -> None:
+    def of_a_quarter():
         estimate(quarter, background)
 
-    def sort() -> None:
+    def sort():
         np.sort(samples.temperature.value)
         np.sort(samples.pressure.value)
         np.sort(samples.humidity.value)

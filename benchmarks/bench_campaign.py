@@ -54,7 +54,7 @@ def campaign(folder: Path) -> Path:
     return folder / "season.yaml"
 
 
-def write_yaml(path: Path, content: dict[str, Any]) -> None:
+def write_yaml(path: Path, content: dict[str, Any]):
     path.write_text(yaml.safe_dump(content), "utf-8")
 
 
@@ -76,7 +76,7 @@ def test_an_unchanged_campaign_beside_the_parsing_of_its_files(ratios, tmp_path,
         command = [sys.executable, "-m", "unbend", "run", str(file)]
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
-    def parse() -> None:
+    def parse():
         for path in files:
             load_mission(path)
 

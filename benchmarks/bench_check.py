@@ -53,7 +53,7 @@ def mission(folder: Path, rows: int, ground: dict) -> Path:
     return path
 
 
-def read_names(path: Path) -> None:
+def read_names(path: Path):
     """One pass over the names of images and points."""
     with pq.ParquetFile(path, memory_map=True) as file:
         columns = ["image", "point"]
@@ -72,7 +72,7 @@ def test_ten_million_rows_beside_their_names_and_a_small_run(ratios, tmp_path, g
     large = mission(tmp_path, ROWS, ground)
     small = mission(tmp_path, FEW, ground)
 
-    def allowed() -> None:
+    def allowed():
         run_mission(small, force=True)
         for _ in range(passes):
             read_names(large.with_suffix(".parquet"))

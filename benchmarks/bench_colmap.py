@@ -100,7 +100,7 @@ def write_mission(folder: Path, rows: int, kind: str) -> Path:
     return folder
 
 
-def write_database(path: Path, names: list[str], xy: np.ndarray) -> None:
+def write_database(path: Path, names: list[str], xy: np.ndarray):
     """The tables of COLMAP's that are read; each keypoint matches one of the next image."""
     model, width, height, params = CAMERA
     with closing(sqlite3.connect(path)) as database:
@@ -138,7 +138,7 @@ def work(folder: Path) -> float:
     return time.perf_counter() - start
 
 
-def test_half_a_million_keypoints_beside_a_table(ratios: Ratios, tmp_path: Path) -> None:
+def test_half_a_million_keypoints_beside_a_table(ratios: Ratios, tmp_path: Path):
     """What a database costs beyond a thousand keypoints, beside what a table costs beyond them."""
     many, few, table, short = (
         write_mission(tmp_path / f"{kind}_{rows}", rows, kind)
@@ -155,7 +155,7 @@ def test_half_a_million_keypoints_beside_a_table(ratios: Ratios, tmp_path: Path)
     assert (count, tied) == (ROWS, ROWS * (IMAGES - 1) // IMAGES)
 
 
-def test_memory_does_not_follow_the_keypoints(ratios: Ratios, tmp_path: Path) -> None:
+def test_memory_does_not_follow_the_keypoints(ratios: Ratios, tmp_path: Path):
     """100 MB more at most, from 45,000 to 448,000 keypoints."""
     peaks = []
     for rows in (FEWER, ROWS):

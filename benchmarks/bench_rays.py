@@ -104,7 +104,7 @@ def test_kernel_beside_quad_over_plain_floats(ratios):
     few = slice(0, BY_QUAD)
     rays = list(zip(h_g[few].tolist(), zeta[few].tolist(), strict=True))
 
-    def by_kernel() -> None:
+    def by_kernel():
         bend(table, h_c, h_g, sine, cosine, radius=RADIUS)
 
     def by_quad() -> list[float]:

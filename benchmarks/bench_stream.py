@@ -16,12 +16,12 @@ IMAGES = 2_000
 ROWS = 10_000_000
 
 
-def correct(source: Path, out: Path) -> None:
+def correct(source: Path, out: Path):
     ground = GivenGround(None, np.zeros(IMAGES), sigma_m=2.0)
     correct_table(source, out, exposures(IMAGES), ground, "h_g_m")
 
 
-def copy(source: Path, precomputed: list[pa.Table], out: Path) -> None:
+def copy(source: Path, precomputed: list[pa.Table], out: Path):
     """Read the same input while two threads write the same columns, computed before."""
     out.mkdir(exist_ok=True)
     with pq.ParquetFile(source) as file, ThreadPoolExecutor(2) as pool:

@@ -19,7 +19,7 @@ CELLS = 10_000
 STEP_DEG = 1.0 / 10_800.0  # 10 m
 
 
-def write_model(path: Path) -> None:
+def write_model(path: Path):
     """Hills of 300 m, and of 30 m on them, as a tiled and compressed GeoTIFF."""
     import rasterio
 
@@ -59,7 +59,7 @@ def flown_places() -> tuple[np.ndarray, np.ndarray]:
     return 0.805 + np.repeat(north, each), longitude
 
 
-def correct(source: Path, out: Path, model: Path | None) -> None:
+def correct(source: Path, out: Path, model: Path | None):
     """Correct a million observations, from a file to a file, with sigmas."""
     places = flown_places()
     flown = replace(exposures(IMAGES), latitude_rad=places[0])

@@ -74,7 +74,7 @@ def overlapping(source: np.ndarray, dtype: np.dtype) -> np.ndarray:
     )
 
 
-def move_gps_time(records: np.ndarray, rows: np.ndarray, by_ms: int) -> None:
+def move_gps_time(records: np.ndarray, rows: np.ndarray, by_ms: int):
     """Week and millisecond of the week of some records."""
     for row in rows.tolist():
         record = records[row]
@@ -121,7 +121,7 @@ def count_rows(tables: dict[str, dict[str, np.ndarray]]) -> int:
     return sum(table[PLACE].size for table in tables.values())
 
 
-def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:
+def main(source: Path, megabytes: int = 110, pairs: int = 7):
     """Print the ratios and their medians."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "grown.bin"
@@ -141,7 +141,7 @@ def compare(
     pairs: int,
     library: Callable[[Path], int],
     ours: Callable[[Path], int],
-) -> None:
+):
     """Print how many times as fast we are, and both rates."""
 
     def bytes_by(action: Callable[[Path], int]) -> int:

@@ -102,7 +102,7 @@ class Departures:
     kelvin: np.ndarray = field(init=False)
     winter: np.ndarray = field(init=False)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         departures = []
         winter = []
         for ascent in self.ascents:
@@ -229,7 +229,7 @@ class Observed:
     mixed: np.ndarray = field(init=False)
     middle: np.ndarray = field(init=False)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         latitude = self.departures.latitude_rad
         hour = self.departures.solar_hour
         weather = []
@@ -511,7 +511,7 @@ def fitted(moments: list[Moments]) -> Model:
     return Model(fit.x)
 
 
-def print_toml(daily: np.ndarray, model: Model, count: int) -> None:
+def print_toml(daily: np.ndarray, model: Model, count: int):
     """The numbers as the package reads them."""
     print(f"# Written by benchmarks/fit_air.py from {count} public ascents: do not edit.")
     print("\n[daily]")
@@ -534,7 +534,7 @@ def row(values: np.ndarray, digits: int) -> str:
     return "[" + ", ".join(f"{value:.{digits}f}" for value in values) + "]"
 
 
-def print_ratios(moment: Moments, matrix: np.ndarray) -> None:
+def print_ratios(moment: Moments, matrix: np.ndarray):
     """Observed over fitted, to the error stream."""
     case = f"{moment.hours:.0f} h, {moment.km:.0f} km, {moment.mixed:.1f} mixed"
     of_r = np.sqrt(moment.r / variance_of_r(matrix))
@@ -543,7 +543,7 @@ def print_ratios(moment: Moments, matrix: np.ndarray) -> None:
     print(f"{case:>32}: observed over fitted {ratios}", file=sys.stderr)
 
 
-def main() -> None:
+def main():
     """Read, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)

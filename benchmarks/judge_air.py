@@ -147,7 +147,7 @@ def soundings_of_place(truth: Ascent, ascents: list[Ascent]) -> dict[int, Soundi
     return at_hours
 
 
-def print_sigmas(rows: list[Judgement]) -> None:
+def print_sigmas(rows: list[Judgement]):
     """RMS of error over sigma and the share beyond 3, of all and of each group."""
     heights = "".join(f"{climb / 1e3:>16g} km" for climb in CLIMBS_M)
     print(f"{'error/sigma: RMS (beyond 3, rms error %)':<58}{'n':>5}{heights}")
@@ -163,7 +163,7 @@ def print_sigmas(rows: list[Judgement]) -> None:
         print("      " + ", ".join(f"{code} {count}" for code, count in sorted(codes.items())))
 
 
-def print_group(label: str, rows: list[Judgement]) -> None:
+def print_group(label: str, rows: list[Judgement]):
     """RMS of error over sigma, the share beyond 3, and RMS of the error [%], by climb."""
     error = np.array([row.error for row in rows])
     ratio = error / np.array([row.sigma for row in rows])
@@ -178,7 +178,7 @@ def print_group(label: str, rows: list[Judgement]) -> None:
     print(f"{label:<58}{len(rows):>5}{cells}")
 
 
-def print_by_day(ascents: list[Ascent]) -> None:
+def print_by_day(ascents: list[Ascent]):
     """What the climatology leaves by day, beside US 1976: RMS and mean of the error of R [%]."""
     by_day = [a for a in ascents if DAY_HOURS[0] <= a.solar_hour <= DAY_HOURS[1]]
     print(f"climatology by day, error of R: RMS (mean) [%]; US 1976; {len(by_day)} ascents")
@@ -199,7 +199,7 @@ def rms_and_mean(errors: list[float]) -> str:
     return f"{rms:5.1f} ({percent.mean():+5.1f})"
 
 
-def main() -> None:
+def main():
     """Read the ascents, judge, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)

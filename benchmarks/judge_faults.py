@@ -352,7 +352,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def print_row(label: str, rows: list[Outcome]) -> None:
+def print_row(label: str, rows: list[Outcome]):
     """One line of the table: of flights that are not told, errors and sigmas."""
     quiet = [(row.error, row.sigma) for row in rows if not row.told]
     error, sigma = np.array(quiet or [(np.nan, np.nan)]).T
@@ -368,7 +368,7 @@ def print_row(label: str, rows: list[Outcome]) -> None:
     )
 
 
-def print_wrong(rows: list[Outcome]) -> None:
+def print_wrong(rows: list[Outcome]):
     """Flights that are wrong, or have flagged exposures, although nothing tells it."""
     for row in rows:
         if row.is_wrong or (row.flagged and not row.told):
@@ -387,7 +387,7 @@ def drawn_flights(fault: str, climb_m: float, count: int, seed: int) -> Iterator
         yield FAULTS[fault](plan)
 
 
-def main() -> None:
+def main():
     """Draw, estimate, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("faults", nargs="*", metavar="FAULT", help=", ".join(FAULTS))

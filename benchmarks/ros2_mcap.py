@@ -84,7 +84,7 @@ def ours(log: Path) -> int:
     return sum(len(channel) for channel in MCAP.read(log, Ledger()).channels)
 
 
-def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:
+def main(source: Path, megabytes: int = 110, pairs: int = 7):
     """Print the ratio of the rates and its spread."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "grown.mcap"

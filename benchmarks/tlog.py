@@ -112,7 +112,7 @@ def _places(data: bytes) -> list[int]:
     return places
 
 
-def _set_clocks_on(source: np.ndarray, frames: Frames, by_us: int) -> None:
+def _set_clocks_on(source: np.ndarray, frames: Frames, by_us: int):
     for number in np.unique(frames.message_id).tolist():
         fields = dialect()[number].dtype.fields or {}
         for name in CLOCKS.keys() & fields.keys():
@@ -139,7 +139,7 @@ def _at_any_byte(source: np.ndarray, kind: np.dtype | str) -> np.ndarray:
     )
 
 
-def _sign(source: np.ndarray, frames: Frames) -> None:
+def _sign(source: np.ndarray, frames: Frames):
     extras = np.zeros(1 << 16, np.uint16)
     for number, extra in crc_extras().items():
         extras[number] = extra
@@ -179,7 +179,7 @@ def ours(log: Path) -> int:
         return sum(Scan(data, crc_extras(), wanted_layouts()).counts.values())
 
 
-def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:
+def main(source: Path, megabytes: int = 110, pairs: int = 7):
     """Print the ratio of the rates and its spread."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "grown.tlog"

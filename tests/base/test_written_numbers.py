@@ -75,10 +75,16 @@ def test_a_hemisphere_that_is_stated_elsewhere():
     assert angle_of("8.5 E", "Unknown ()") == 8.5
 
 
-@pytest.mark.parametrize(
-    ("text", "hemisphere"),
-    [("46.5 N", "S"), ("-46.5 N", ""), ("-8.5", "East"), ("N-46.5", ""), ("8.5 E", "N")],
-)
+CONTRADICTIONS = yaml.safe_load("""
+- ['46.5 N', 'S']
+- ['-46.5 N', '']
+- ['-8.5', East]
+- [N-46.5, '']
+- ['8.5 E', 'N']
+""")
+
+
+@pytest.mark.parametrize(("text", "hemisphere"), CONTRADICTIONS)
 def test_hemispheres_that_contradict_are_not_read(text, hemisphere):
     with pytest.raises(ValueError, match=r"hemisphere|negative|is not"):
         angle_of(text, hemisphere)

@@ -113,16 +113,16 @@ def angle_of(unbend):
     return ask
 
 
-@pytest.mark.parametrize(
-    ("h_c", "zeta", "arcsec"),
-    [
-        (10_000, 75, 61.778543),
-        (10_000, 45, 16.378452),
-        (3000, 45, 7.088778),
-        (120, 45, 0.327323),
-        (20_000, 85, 327.014637),
-    ],
-)
+ANGLES = yaml.safe_load("""
+- [10000, 75, 61.778543]
+- [10000, 45, 16.378452]
+- [3000, 45, 7.088778]
+- [120, 45, 0.327323]
+- [20000, 85, 327.014637]
+""")
+
+
+@pytest.mark.parametrize(("h_c", "zeta", "arcsec"), ANGLES)
 def test_angle(angle_of, h_c, zeta, arcsec):
     options = "--atmosphere us1976 --index gyer --radius 6371000"
     answer, text = angle_of(h_c, 0, zeta, options)

@@ -219,20 +219,16 @@ def test_combinations_with_a_trajectory(refusal, changes, text):
     assert text in refusal(BY_TRAJECTORY, changes)
 
 
-@pytest.mark.parametrize(
-    ("columns", "text"),
-    [
-        (
-            "{x: x, y: y, z: z, latitude: a, longitude: b, height: c}",
-            "columns: give either latitude, longitude, height or x, y, z",
-        ),
-        (
-            "{x: x, y: y, z: z, roll: r, pitch: p, yaw: h, q_w: w, q_x: i, q_y: j, q_z: k}",
-            "columns: give either roll, pitch, yaw or q_w, q_x, q_y, q_z",
-        ),
-        ("{x: x}", "columns: x needs x, y, z"),
-    ],
-)
+COLUMNS = yaml.safe_load("""
+- - '{x: x, y: y, z: z, latitude: a, longitude: b, height: c}'
+  - 'columns: give either latitude, longitude, height or x, y, z'
+- - '{x: x, y: y, z: z, roll: r, pitch: p, yaw: h, q_w: w, q_x: i, q_y: j, q_z: k}'
+  - 'columns: give either roll, pitch, yaw or q_w, q_x, q_y, q_z'
+- ['{x: x}', 'columns: x needs x, y, z']
+""")
+
+
+@pytest.mark.parametrize(("columns", "text"), COLUMNS)
 def test_columns_of_a_trajectory_that_exclude_each_other(refusal, columns, text):
     assert text in refusal(BY_CSV, f"stations.trajectory.columns: {columns}")
 

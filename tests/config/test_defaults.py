@@ -132,16 +132,16 @@ def test_the_ground_has_no_default_but_for_distances():
             GroundSection.model_validate({"height": height, "reference": "msl"})
 
 
-@pytest.mark.parametrize(
-    ("of_camera", "of_table", "cx"),
-    [
-        (None, "corner", 500.0),
-        (None, "centre", 500.5),
-        ("corner", "centre", 500.0),
-        ("centre", "corner", 500.5),
-        ("centre", "centre", 500.5),
-    ],
-)
+ORIGINS = yaml.safe_load("""
+- [null, corner, 500.0]
+- [null, centre, 500.5]
+- [corner, centre, 500.0]
+- [centre, corner, 500.5]
+- [centre, centre, 500.5]
+""")
+
+
+@pytest.mark.parametrize(("of_camera", "of_table", "cx"), ORIGINS)
 def test_the_origin_of_a_camera_goes_before_that_of_the_table(of_camera, of_table, cx):
     """COLMAP: the centre of the upper left pixel is (0.5, 0.5); OpenCV: it is (0, 0)."""
     section = CameraSection.model_validate(CAMERA | {"pixel_origin": of_camera})
