@@ -12,7 +12,7 @@ def ratios() -> Ratios:
     return RATIOS
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter):
     """The table of all ratios."""
     if not RATIOS.rows:
         return

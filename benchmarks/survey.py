@@ -93,7 +93,7 @@ def image_names(count: int) -> np.ndarray:
     return np.array([f"IMG_{i:05d}.tif" for i in range(count)], dtype=object)
 
 
-def write_observations(path: Path, rows: int, images: int) -> None:
+def write_observations(path: Path, rows: int, images: int):
     """A table of observations, image by image, each point seen in some five images."""
     x, y, h_g = points(rows)
     rng = np.random.default_rng(3)

@@ -70,7 +70,7 @@ class Ratios:
         *,
         at_least: float = 0.0,
         at_most: float = math.inf,
-    ) -> None:
+    ):
         """Note a ratio and assert its bound: ``at_least`` or ``at_most``."""
         bound = f"<= {at_most:g}"
         if at_least:
