@@ -72,6 +72,7 @@ class Ratios:
         at_most: float = math.inf,
     ):
         """Note a ratio and assert its bound: ``at_least`` or ``at_most``."""
+        assert at_least > 0.0 or at_most < math.inf, f"{what}: no bound is stated"
         bound = f"<= {at_most:g}"
         if at_least:
             bound = f">= {at_least:g}"

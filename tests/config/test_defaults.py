@@ -101,7 +101,7 @@ SECTIONS = {
 """Sections of which a mission file states only what it must."""
 
 
-@pytest.mark.parametrize("section", SECTIONS)
+@pytest.mark.parametrize("section", DEFAULTS)
 def test_what_is_not_stated(section):
     for key, value in DEFAULTS[section].items():
         default = getattr(SECTIONS[section], key)

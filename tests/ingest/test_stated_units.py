@@ -29,6 +29,12 @@ def logged(form, message: str, field: str, value: float) -> Channel:
     return channel_of(rows, field_map, Ledger())
 
 
+def stated(channel: Channel, role: str, unit: str) -> float:
+    """The value of a channel [SI] whose unit the mission file states."""
+    column, *_ = STATED_UNITS[unit]
+    return in_stated_unit(channel, role, unit)[column][0]
+
+
 BARE = yaml.safe_load("""
 - [cabin_pressure, Pa, 81250.0, 81250.0]
 - [cabin_pressure, hPa, 812.5, 81250.0]
@@ -45,12 +51,6 @@ BARE = yaml.safe_load("""
 def test_a_bare_value_is_converted(role, unit, number, si):
     named = logged("mavlink", "NAMED_VALUE_FLOAT", "value", number)
     assert stated(named, role, unit) == pytest.approx(si, rel=1e-14)
-
-
-def stated(channel: Channel, role: str, unit: str) -> float:
-    """The value of a channel [SI] whose unit the mission file states."""
-    column, *_ = STATED_UNITS[unit]
-    return in_stated_unit(channel, role, unit)[column][0]
 
 
 def test_a_unit_of_another_quantity_is_refused():

@@ -56,10 +56,12 @@ def test_value_and_sigma_end_at_the_same_place_and_lose_nothing(value, sigma):
     _, _, decimals = shown.partition(".")
     _, _, decimals_of_sigma = spread.partition(".")
     assert len(decimals) == len(decimals_of_sigma)
+    assert decimals.isdigit() == decimals_of_sigma.isdigit()
     assert math.isclose(float(spread), sigma, rel_tol=0.051)
     assert abs(float(shown) - value) <= 0.06 * sigma
-    digits_of_sigma = spread.replace(".", "").strip("0")
-    assert 1 <= len(digits_of_sigma) <= 2
+    digits_of_sigma = spread.replace(".", "")
+    significant = digits_of_sigma.strip("0")
+    assert 1 <= len(significant) <= 2
 
 
 @given(floats(1e-3, 1e7))
