@@ -1,13 +1,12 @@
 """`check` of ten million observations beside a pass over their names and a run of 20,000 rows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+import pytest
 import yaml
 
 from unbend.batch.runs import check_mission, run_mission
@@ -16,50 +15,67 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 SAMPLES = REPOSITORY / "sample_logs"
 ROWS = 10_000_000
 FEW = 20_000
+GIVEN_HEIGHTS = {"height": {"column": "h_g_m"}, "reference": "msl"}
+INTERSECTED = {"height": "intersected"}
 
 
-def mission(folder: Path, rows: int, height: object) -> Path:
-    """The sample mission with its observations many times, each time under other points."""
-    table = pq.read_table(SAMPLES / "observations.parquet").replace_schema_metadata(None)
-    copies = -(-rows // table.num_rows)
-    point, number = np.unique(table["point"].to_numpy(), return_inverse=True)
-    names = pa.array([f"P{k:08d}" for k in range(copies * point.size)])
-    copy = np.repeat(np.arange(copies), table.num_rows)[:rows]
-    row = np.tile(np.arange(table.num_rows), copies)[:rows]
-    table = table.take(pa.array(row)).set_column(
-        1, "point", names.take(pa.array(copy * point.size + number[row]))
+def observations(rows: int) -> pa.Table:
+    """Those of the sample mission many times, each time under other points."""
+    sample = pq.read_table(SAMPLES / "observations.parquet")
+    sample = sample.replace_schema_metadata(None)
+    copies = -(-rows // sample.num_rows)
+    points, point = np.unique(sample["point"].to_numpy(), return_inverse=True)
+    names = pa.array([f"P{k:08d}" for k in range(copies * points.size)])
+    copy, row = np.divmod(np.arange(rows), sample.num_rows)
+    number = copy * points.size + point[row]
+    name = names.take(pa.array(number))
+    table = sample.take(pa.array(row))
+    table = table.set_column(1, "point", name)
+    return table.sort_by("image")
+
+
+def mission(folder: Path, rows: int, ground: dict) -> Path:
+    """The sample mission with so many observations."""
+    table = f"{rows}.parquet"
+    pq.write_table(
+        observations(rows),
+        folder / table,
+        row_group_size=1_000_000,
     )
-    pq.write_table(table.sort_by("image"), folder / f"{rows}.parquet", row_group_size=1_000_000)
-    text = (REPOSITORY / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
-    sections = yaml.safe_load(text)
+    sample = REPOSITORY / "configs" / "sample_bin.yaml"
+    sections = yaml.safe_load(sample.read_text("utf-8"))
     sections["log"]["path"] = str(SAMPLES / "flight.bin")
-    sections["observations"]["path"] = f"{rows}.parquet"
-    sections["ground"] = height
+    sections["observations"]["path"] = table
+    sections["ground"] = ground
     sections["output"]["path"] = f"results_{rows}"
     path = folder / f"{rows}.yaml"
-    path.write_text(yaml.safe_dump(sections), encoding="utf-8")
+    path.write_text(yaml.safe_dump(sections), "utf-8")
     return path
 
 
-def names_of(path: Path) -> None:
+def read_names(path: Path):
     """One pass over the names of images and points."""
     with pq.ParquetFile(path, memory_map=True) as file:
-        for batch in file.iter_batches(batch_size=1 << 20, columns=["image", "point"]):
+        columns = ["image", "point"]
+        for batch in file.iter_batches(batch_size=1 << 20, columns=columns):
             pc.unique(batch.column(0))
 
 
-def test_ten_million_rows_beside_their_names_and_a_small_run(ratios, tmp_path):
-    for height, passes in (
-        ({"height": {"column": "h_g_m"}, "reference": "msl"}, 1),
-        ({"height": "intersected"}, 3),  # the points of the sample, and all of their rows
-    ):
-        large = mission(tmp_path, ROWS, height)
-        small = mission(tmp_path, FEW, height)
+@pytest.mark.parametrize(
+    ("ground", "passes"),
+    [
+        (GIVEN_HEIGHTS, 1),
+        (INTERSECTED, 3),  # the points of the sample, and all of their rows
+    ],
+)
+def test_ten_million_rows_beside_their_names_and_a_small_run(ratios, tmp_path, ground, passes):
+    large = mission(tmp_path, ROWS, ground)
+    small = mission(tmp_path, FEW, ground)
 
-        def allowed(small=small, passes=passes) -> None:
-            run_mission(small, force=True)
-            for _ in range(passes):
-                names_of(tmp_path / f"{ROWS}.parquet")
+    def allowed():
+        run_mission(small, force=True)
+        for _ in range(passes):
+            read_names(large.with_suffix(".parquet"))
 
-        ratio = ratios.of_times(lambda large=large: check_mission(large), allowed, rounds=3)
-        ratios.check("check of ten million rows, times names and a run", 1.0 / ratio, at_most=1.8)
+    ratio = ratios.of_times(lambda: check_mission(large), allowed, rounds=3)
+    ratios.check("check of ten million rows, times names and a run", 1.0 / ratio, at_most=1.8)

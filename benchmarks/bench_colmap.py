@@ -1,7 +1,5 @@
 """A database of COLMAP in, corrected and out, beside the same rows as Parquet."""
 
-from __future__ import annotations
-
 import sqlite3
 import statistics
 import subprocess
@@ -24,6 +22,32 @@ FEWER = 44_800
 FEW = 1_008
 CAMERA = (1, 14000, 10600, [20000.0, 20000.0, 7000.0, 5300.0])  # COLMAP's PINHOLE
 
+MISSION = """
+mission: {undulation_m: 50.0}
+observations: {path: observations.parquet}
+cameras:
+  frame:
+    width_px: 14000
+    height_px: 10600
+    f_px: 20000.0
+    cx_px: 7000.0
+    cy_px: 5300.0
+    calibration: laboratory
+stations:
+  orientation:
+    path: stations.csv
+    angles: omega_phi_kappa
+    frame: geographic
+    heights: ellipsoid
+    date: "2026-05-14"
+    columns: {camera: camera}
+    sigma_horizontal_m: 0.03
+    sigma_height_m: 0.05
+ground: {height: 300.0, reference: msl}
+atmosphere: {adjust: false}
+output: {path: results}
+"""
+
 _RUN = """
 import sys
 from pathlib import Path
@@ -43,28 +67,23 @@ def write_mission(folder: Path, rows: int, kind: str) -> Path:
     each = rows // IMAGES
     names = [f"{i:05d}.tif" for i in range(IMAGES)]
     xy = rng.uniform(0.0, CAMERA[1:3], (IMAGES, each, 2)).astype("<f4")
-    image = {
-        "width_px": CAMERA[1],
-        "height_px": CAMERA[2],
-        "f_px": 20000.0,
-        "cx_px": 7000.0,
-        "cy_px": 5300.0,
-        "calibration": "laboratory",
-    }
+    mission = yaml.safe_load(MISSION)
+    mission["mission"]["name"] = kind
     if kind == "colmap":
-        image = {"camera": 1, "calibration": "laboratory"}
+        mission["cameras"]["frame"] = {"camera": 1, "calibration": "laboratory"}
+        mission["observations"] = {"path": "database.db", "format": "colmap"}
         write_database(folder / "database.db", names, xy)
-        observations = {"path": "database.db", "format": "colmap"}
     else:
-        observations = {"path": "observations.parquet"}
-        pd.DataFrame(
-            {
-                "image": np.repeat(names, each),
-                "point": [f"{name}:{i}" for name in names for i in range(each)],
-                "x_px": xy[..., 0].ravel().astype(float),
-                "y_px": xy[..., 1].ravel().astype(float),
-            }
-        ).to_parquet(folder / "observations.parquet")
+        points = []
+        for name in names:
+            points += [f"{name}:{i}" for i in range(each)]
+        columns = {
+            "image": np.repeat(names, each),
+            "point": points,
+            "x_px": xy[..., 0].ravel().astype(float),
+            "y_px": xy[..., 1].ravel().astype(float),
+        }
+        pd.DataFrame(columns).to_parquet(folder / "observations.parquet")
     pd.DataFrame(
         {
             "image": names,
@@ -77,31 +96,11 @@ def write_mission(folder: Path, rows: int, kind: str) -> Path:
             "kappa": 0.0,
         }
     ).to_csv(folder / "stations.csv", index=False)
-    mission = {
-        "mission": {"name": kind, "undulation_m": 50.0},
-        "observations": observations,
-        "cameras": {"frame": image},
-        "stations": {
-            "orientation": {
-                "path": "stations.csv",
-                "angles": "omega_phi_kappa",
-                "frame": "geographic",
-                "heights": "ellipsoid",
-                "date": "2026-05-14",
-                "columns": {"camera": "camera"},
-                "sigma_horizontal_m": 0.03,
-                "sigma_height_m": 0.05,
-            }
-        },
-        "ground": {"height": 300.0, "reference": "msl"},
-        "atmosphere": {"adjust": False},
-        "output": {"path": "results"},
-    }
-    (folder / "mission.yaml").write_text(yaml.safe_dump(mission), encoding="utf-8")
+    (folder / "mission.yaml").write_text(yaml.safe_dump(mission), "utf-8")
     return folder
 
 
-def write_database(path: Path, names: list[str], xy: np.ndarray) -> None:
+def write_database(path: Path, names: list[str], xy: np.ndarray):
     """The tables of COLMAP's that are read; each keypoint matches one of the next image."""
     model, width, height, params = CAMERA
     with closing(sqlite3.connect(path)) as database:
@@ -139,7 +138,7 @@ def work(folder: Path) -> float:
     return time.perf_counter() - start
 
 
-def test_half_a_million_keypoints_beside_a_table(ratios: Ratios, tmp_path: Path) -> None:
+def test_half_a_million_keypoints_beside_a_table(ratios: Ratios, tmp_path: Path):
     """What a database costs beyond a thousand keypoints, beside what a table costs beyond them."""
     many, few, table, short = (
         write_mission(tmp_path / f"{kind}_{rows}", rows, kind)
@@ -156,7 +155,7 @@ def test_half_a_million_keypoints_beside_a_table(ratios: Ratios, tmp_path: Path)
     assert (count, tied) == (ROWS, ROWS * (IMAGES - 1) // IMAGES)
 
 
-def test_memory_does_not_follow_the_keypoints(ratios: Ratios, tmp_path: Path) -> None:
+def test_memory_does_not_follow_the_keypoints(ratios: Ratios, tmp_path: Path):
     """100 MB more at most, from 45,000 to 448,000 keypoints."""
     peaks = []
     for rows in (FEWER, ROWS):

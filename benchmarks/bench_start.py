@@ -1,7 +1,5 @@
 """How long the first answer takes in a new process: importing, and compiling with a cold cache."""
 
-from __future__ import annotations
-
 import os
 import statistics
 import subprocess
@@ -12,6 +10,9 @@ from pathlib import Path
 from timing import seconds
 
 ROOT = Path(__file__).parents[1]
+ENVIRONMENT = dict(os.environ)
+# The first call writes the bytecode of the package, as for a user.
+ENVIRONMENT.pop("PYTHONDONTWRITEBYTECODE", None)
 
 FIRST_POINT = """
 import numpy as np
@@ -55,11 +56,9 @@ numba.njit(error_model="numpy", nogil=True)(kernel)(np.linspace(-1.0, 1.0, 9), 3
 
 def taken(code: str, cache: Path) -> float:
     """Wall time [s] of a new interpreter that runs some code, less that of one that runs none."""
-    environment = dict(os.environ, NUMBA_CACHE_DIR=str(cache))
-    # The first call writes the bytecode of the package, as for a user.
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, folders))
+    path = os.pathsep.join(filter(None, folders))
+    environment = ENVIRONMENT | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": path}
 
     def run(text: str) -> float:
         command = [sys.executable, "-c", text]
@@ -102,13 +101,12 @@ def test_the_first_points_with_a_cold_cache(ratios, tmp_path):
 
 def cpu_seconds(*words: str, cache: Path) -> float:
     """User and system time of a command of ours in a new process."""
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     before = os.times()
     subprocess.run(
         [sys.executable, "-m", "unbend", *words],
         stdout=subprocess.DEVNULL,
         check=True,
-        env=environment | {"NUMBA_CACHE_DIR": str(cache)},
+        env=ENVIRONMENT | {"NUMBA_CACHE_DIR": str(cache)},
     )
     after = os.times()
     used = after.children_user + after.children_system
@@ -136,9 +134,8 @@ def test_the_first_answer_of_the_command_line(ratios):
     log = ROOT / "sample_logs" / "flight.bin"
 
     def command(*words: str) -> Callable[[], object]:
-        environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
         return lambda: subprocess.run(
-            [sys.executable, *words], check=True, env=environment, stdout=subprocess.DEVNULL
+            [sys.executable, *words], check=True, env=ENVIRONMENT, stdout=subprocess.DEVNULL
         )
 
     imports = command("-c", "import numpy, pyarrow")

@@ -1,7 +1,5 @@
 """The ratios of a run of the benchmarks, and their table at its end."""
 
-from __future__ import annotations
-
 import pytest
 from timing import Ratios
 
@@ -14,7 +12,7 @@ def ratios() -> Ratios:
     return RATIOS
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter):
     """The table of all ratios."""
     if not RATIOS.rows:
         return

@@ -14,11 +14,10 @@ the parts of `unbend.atmosphere.air_variation`, so that their sum has the second
 ``--half`` fits one half of the ascents, so that `judge_air.py --half` judges by the other.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -103,22 +102,40 @@ class Departures:
     kelvin: np.ndarray = field(init=False)
     winter: np.ndarray = field(init=False)
 
-    def __post_init__(self) -> None:
-        rows = []
+    def __post_init__(self):
+        departures = []
+        winter = []
         for ascent in self.ascents:
-            ground = float(ascent.h_m[0])
             latitude = ascent.latitude_rad
-            fine = np.arange(ground, ground + 30_000.0, 10.0)
-            reduced = reduced_height(fine, ground, tropopause_m(latitude, ascent.month))
-            h = np.interp(HEIGHT_M, reduced, fine)
-            t = np.interp(h, ascent.h_m, ascent.temperature_k, right=np.nan)
-            rows.append(t - supplements_profile(latitude, ascent.month).temperature(h))
-        self.kelvin = np.array(rows)
-        self.winter = np.array([0.5 + 0.5 * season(a.latitude_rad, a.month) for a in self.ascents])
+            h = compared_heights(ascent)
+            measured = np.interp(h, ascent.h_m, ascent.temperature_k, right=np.nan)
+            supplements = supplements_profile(latitude, ascent.month)
+            departures.append(measured - supplements.temperature(h))
+            winter.append(0.5 + 0.5 * season(latitude, ascent.month))
+        self.kelvin = np.array(departures)
+        self.winter = np.array(winter)
 
     @property
     def groups(self) -> np.ndarray:
         return np.array([ascent.group for ascent in self.ascents])
+
+    @property
+    def latitude_rad(self) -> np.ndarray:
+        return np.array([ascent.latitude_rad for ascent in self.ascents])
+
+    @property
+    def solar_hour(self) -> np.ndarray:
+        return np.array([ascent.solar_hour for ascent in self.ascents])
+
+
+def compared_heights(ascent: Ascent) -> np.ndarray:
+    """`HEIGHT_M` above the ground of an ascent, as heights above the sea [m]."""
+    ground = float(ascent.h_m[0])
+    top = ground + 30_000.0
+    fine = np.arange(ground, top, 10.0)
+    tropopause = tropopause_m(ascent.latitude_rad, ascent.month)
+    reduced = reduced_height(fine, ground, tropopause)
+    return np.interp(HEIGHT_M, reduced, fine)
 
 
 def daily_tables(departures: Departures, share: np.ndarray) -> np.ndarray:
@@ -126,113 +143,182 @@ def daily_tables(departures: Departures, share: np.ndarray) -> np.ndarray:
 
     Groups weigh alike, those of the tropics a third.
     """
-    groups = departures.groups
-    weight = np.array([1.0 / np.count_nonzero(groups == group) for group in groups])
+    _, group, members = np.unique(
+        departures.groups,
+        return_inverse=True,
+        return_counts=True,
+    )
+    weight = 1.0 / members[group]
     weight = weight * np.where(share < 0.5, 0.3, 1.0)
-    hours = np.array([ascent.solar_hour for ascent in departures.ascents])
-    by_hour = np.cos(2.0 * math.pi * (hours - WARMEST_HOUR) / 24.0)
+    phase = (departures.solar_hour - WARMEST_HOUR) / 24.0
+    by_hour = np.cos(2.0 * math.pi * phase)
     winter = departures.winter
-    columns = np.stack([winter, 1.0 - winter, by_hour * winter, by_hour * (1.0 - winter)], axis=1)
-    columns *= share[:, None]
+    summer = 1.0 - winter
+    columns = [
+        winter,
+        summer,
+        by_hour * winter,
+        by_hour * summer,
+    ]
+    design = share[:, None] * np.stack(columns, axis=1)
     low = departures.kelvin[:, : LOW_M.size]
+    above_3_km = low - low[:, -1:]
     tables = []
-    for values in (low - low[:, -1:]).T:
+    for values in above_3_km.T:
         known = np.isfinite(values)
         root = np.sqrt(weight[known])
-        fit = np.linalg.lstsq(columns[known] * root[:, None], values[known] * root, rcond=None)
+        weighted = design[known] * root[:, None]
+        fit = np.linalg.lstsq(weighted, values[known] * root, rcond=None)
         tables.append(fit[0])
-    departures.kelvin[:, : LOW_M.size] -= columns @ np.array(tables).T
+    departures.kelvin[:, : LOW_M.size] -= design @ np.array(tables).T
     return np.array(tables).T
-
-
-def land_share(ascents: list[Ascent]) -> np.ndarray:
-    """As `air_variation.share_of_day`, for the fit."""
-    return np.array([share_of_day(ascent.latitude_rad) for ascent in ascents])
 
 
 def second_moments(values: np.ndarray) -> np.ndarray:
     """(n, n) means of products of rows (m, n), without the unknown."""
     known = np.isfinite(values).astype(float)
+    count = known.T @ known
     filled = np.nan_to_num(values)
-    return (filled.T @ filled) / np.maximum(known.T @ known, 1.0)
+    return (filled.T @ filled) / np.maximum(count, 1.0)
+
+
+def r_of_temperature(t: np.ndarray) -> np.ndarray:
+    """(c,) R at `CLIMBS_M`, up to a factor, of temperatures in steps of 10 m."""
+    between = 0.0341632 * 20.0 / (t[1:] + t[:-1])
+    fall = np.append(0.0, np.cumsum(between))
+    density = np.exp(-fall) / t
+    r = []
+    for climb in CLIMBS_M:
+        top = round(climb / 10.0)
+        r.append(density[: top + 1].mean() - density[top])
+    return np.array(r)
 
 
 def r_by_temperature() -> np.ndarray:
     """(c, n) change of R [%] at `CLIMBS_M` by a kelvin at `HEIGHT_M`, dry, about US 1976."""
     h = np.arange(0.0, CLIMBS_M[-1] + 1.0, 10.0)
     standard = np.maximum(288.15 - 0.0065 * h, 216.65)
-
-    def r_of(t: np.ndarray) -> np.ndarray:
-        fall = np.concatenate([[0.0], np.cumsum(0.0341632 * 20.0 / (t[1:] + t[:-1]))])
-        density = np.exp(-fall) / t
-        tops = [round(climb / 10.0) for climb in CLIMBS_M]
-        return np.array([density[: top + 1].mean() - density[top] for top in tops])
-
-    rows = [r_of(standard + np.interp(h, HEIGHT_M, hat)) for hat in np.eye(HEIGHT_M.size)]
-    return 100.0 * (np.array(rows) / r_of(standard) - 1.0).T
+    r = []
+    for hat in np.eye(HEIGHT_M.size):
+        warmer = standard + np.interp(h, HEIGHT_M, hat)
+        r.append(r_of_temperature(warmer))
+    ratio = np.array(r) / r_of_temperature(standard)
+    return 100.0 * (ratio - 1.0).T
 
 
 R_BY_TEMPERATURE = r_by_temperature()
 
 
-def moments_of(
-    values: list[np.ndarray] | np.ndarray, weight: float, mixed: float, **how
-) -> Moments:
+def moments_of(values: np.ndarray, weight: float, mixed: float, **how) -> Moments:
     """Second moments of departures or changes (m, n)."""
-    values = np.asarray(values)
-    by = np.where(np.abs(R_BY_TEMPERATURE) > 1e-9, R_BY_TEMPERATURE, 0.0)
-    r = np.array([values[:, row != 0.0] @ row[row != 0.0] for row in by])
-    return Moments(second_moments(values), np.nanmean(r**2, axis=1), weight, mixed, **how)
+    r2 = []
+    for row in R_BY_TEMPERATURE:
+        used = np.abs(row) > 1e-9  # other heights may be unknown
+        r = values[:, used] @ row[used]
+        r2.append(np.nanmean(r**2))
+    return Moments(second_moments(values), np.array(r2), weight, mixed, **how)
 
 
-def observed(departures: Departures) -> list[Moments]:
-    """Departures of the middle latitudes, changes over stations, differences between them."""
-    ascents = departures.ascents
-    kelvin = departures.kelvin
-    groups = departures.groups
-    hours = np.array([ascent.time_ns / 3.6e12 for ascent in ascents])
-    by_day = np.array([DAY_HOURS[0] < ascent.solar_hour < DAY_HOURS[1] for ascent in ascents])
-    mixed = np.array([mixed_share(a.latitude_rad, a.month, a.solar_hour) for a in ascents])
-    degrees = np.array([abs(math.degrees(ascent.latitude_rad)) for ascent in ascents])
-    middle = degrees > MIDDLE_LATITUDES_DEG
-    kelvin = kelvin / np.array([weather_share(ascent.latitude_rad) for ascent in ascents])[:, None]
-    moments = []
-    for group in np.unique(groups[middle]):
-        for at_day in (True, False):
-            chosen = middle & (groups == group) & (by_day == at_day)
-            if chosen.sum() >= FEWEST:
-                weight = GROUP_WEIGHT
-                share = float(mixed[chosen].mean())
-                moments.append(moments_of(kelvin[chosen], weight, share, is_change=False))
-    place = np.array([(a.latitude_rad, a.longitude_rad) for a in ascents])
-    pairs: dict[tuple[float, bool, bool], list[tuple[int, int]]] = {}
-    for i in np.flatnonzero(middle):
-        same = np.all(np.abs(place - place[i]) < 1e-3, axis=1)
-        for lag in LAGS_H:
-            for j in np.flatnonzero(same & (np.abs(hours - hours[i] - lag) < 1.5)):
-                at_day = bool(by_day[i] and by_day[j])
-                key = lag, bool(departures.winter[i] > 0.5), at_day
-                pairs.setdefault(key, []).append((int(i), int(j)))
-    for (lag, _, _), of_lag in pairs.items():
-        if len(of_lag) >= FEWEST:
-            first, later = np.array(of_lag).T
-            share = float(np.mean(0.5 * (mixed[first] + mixed[later])))
-            weight = min(float(len(of_lag)), GROUP_WEIGHT)
-            moments.append(moments_of(kelvin[later] - kelvin[first], weight, share, hours=lag))
-    america = np.flatnonzero(np.char.startswith(groups, "n_america"))
-    km = np.array([[ascents[i].km_from(ascents[j]) for j in america] for i in america])
-    for low, high in pairwise(DISTANCES_KM):
-        first, other = np.nonzero(np.triu((km > low) & (km <= high), 1))
-        if first.size >= FEWEST:
-            changes = kelvin[america[first]] - kelvin[america[other]]
-            share = float(mixed[america].mean())
-            at = float(km[first, other].mean())
-            weight = GROUP_WEIGHT * (NEAR_WEIGHT if high == DISTANCES_KM[1] else 1.0)
-            moments.append(moments_of(changes, weight, share, km=at))
-    return moments
+@dataclass
+class Observed:
+    """Departures by the weather of their place, and what their moments are grouped by (m,)."""
+
+    departures: Departures
+    kelvin: np.ndarray = field(init=False)
+    by_day: np.ndarray = field(init=False)
+    mixed: np.ndarray = field(init=False)
+    middle: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        latitude = self.departures.latitude_rad
+        hour = self.departures.solar_hour
+        weather = []
+        mixed = []
+        for ascent in self.departures.ascents:
+            weather.append(weather_share(ascent.latitude_rad))
+            share = mixed_share(
+                ascent.latitude_rad,
+                ascent.month,
+                ascent.solar_hour,
+            )
+            mixed.append(share)
+        self.kelvin = self.departures.kelvin / np.array(weather)[:, None]
+        self.by_day = (DAY_HOURS[0] < hour) & (hour < DAY_HOURS[1])
+        self.mixed = np.array(mixed)
+        self.middle = np.abs(np.degrees(latitude)) > MIDDLE_LATITUDES_DEG
+
+    def moments(self) -> list[Moments]:
+        """Departures of the middle latitudes, changes over stations, differences between them."""
+        return [*self.of_groups(), *self.of_changes(), *self.of_distances()]
+
+    def of_groups(self) -> Iterator[Moments]:
+        groups = self.departures.groups
+        for group in np.unique(groups[self.middle]):
+            of_group = self.middle & (groups == group)
+            for at_day in (True, False):
+                chosen = of_group & (self.by_day == at_day)
+                if chosen.sum() >= FEWEST:
+                    yield moments_of(
+                        self.kelvin[chosen],
+                        GROUP_WEIGHT,
+                        float(self.mixed[chosen].mean()),
+                        is_change=False,
+                    )
+
+    def of_changes(self) -> Iterator[Moments]:
+        for (lag, _, _), pairs in self.pairs_in_time().items():
+            if len(pairs) < FEWEST:
+                continue
+            first, later = np.array(pairs).T
+            mixed = 0.5 * (self.mixed[first] + self.mixed[later])
+            yield moments_of(
+                self.kelvin[later] - self.kelvin[first],
+                min(float(len(pairs)), GROUP_WEIGHT),
+                float(np.mean(mixed)),
+                hours=lag,
+            )
+
+    def pairs_in_time(self) -> dict[tuple[float, bool, bool], list[tuple[int, int]]]:
+        """Ascents over one station, by hours between them, winter, and whether both are by day."""
+        ascents = self.departures.ascents
+        place = np.array([(ascent.latitude_rad, ascent.longitude_rad) for ascent in ascents])
+        hours = np.array([ascent.time_ns / 3.6e12 for ascent in ascents])
+        pairs: dict[tuple[float, bool, bool], list[tuple[int, int]]] = {}
+        for first in np.flatnonzero(self.middle).tolist():
+            apart = np.abs(place - place[first])
+            same_place = np.all(apart < 1e-3, axis=1)
+            winter = bool(self.departures.winter[first] > 0.5)
+            for lag in LAGS_H:
+                off = np.abs(hours - hours[first] - lag)
+                for later in np.flatnonzero(same_place & (off < 1.5)).tolist():
+                    at_day = bool(self.by_day[first] and self.by_day[later])
+                    key = (lag, winter, at_day)
+                    pairs.setdefault(key, []).append((first, later))
+        return pairs
+
+    def of_distances(self) -> Iterator[Moments]:
+        ascents = self.departures.ascents
+        america = np.flatnonzero(np.char.startswith(self.departures.groups, "n_america"))
+        km = np.empty((america.size, america.size))
+        for row, i in enumerate(america):
+            km[row] = [ascents[i].km_from(ascents[j]) for j in america]
+        kelvin = self.kelvin[america]
+        for low, high in pairwise(DISTANCES_KM):
+            between = (km > low) & (km <= high)
+            first, second = np.nonzero(np.triu(between, 1))
+            if first.size < FEWEST:
+                continue
+            weight = GROUP_WEIGHT
+            if high == DISTANCES_KM[1]:
+                weight *= NEAR_WEIGHT
+            yield moments_of(
+                kelvin[first] - kelvin[second],
+                weight,
+                float(self.mixed[america].mean()),
+                km=float(km[first, second].mean()),
+            )
 
 
-NAMES = ("waves", "layers", "climate", "ground")
 START = np.concatenate([
     [2.0, 3.0, 5.0, 5.5, 5.0, 1.5, -4.0, -4.5, -1.5],  # waves [K] at NODE_M
     [2.0, 3.0, 2.0, 2.0, 2.0, 3.0, 2.5, 2.0, 2.0],  # layers [K] at NODE_M
@@ -261,70 +347,147 @@ LEAST_CLIMATE_K = np.array([4.5, 4.0, 2.5, 2.3, 1.5, 1.5, 1.0])
 """What groups of ascents depart by together: R hardly sees it, stations at the ground do [K]."""
 
 
+WAVES = slice(0, 9)  # of the numbers that are fitted
+LAYERS = slice(9, 18)
+CLIMATE = slice(18, 25)
+LAYERS_LENGTH = 25
+MEMORIES = slice(26, 30)
+MEMORY_OF_FINE = 29
+REACHES = slice(30, 35)
+MIXED = 35
+
+
+@dataclass
+class Part:
+    """One part of the structure function."""
+
+    height_m: np.ndarray
+    sigma_k: np.ndarray
+    length_m: float
+    memory_h: float
+    reach_km: float
+    mixed_sigma_k: np.ndarray | None = None  # `sigma_k` where it is the same
+    shape: str = "smooth"
+
+    def __post_init__(self):
+        if self.mixed_sigma_k is None:
+            self.mixed_sigma_k = self.sigma_k
+
+    def sigma(self, mixed: float) -> np.ndarray:
+        """At `HEIGHT_M`, where a share of the air is mixed [K]."""
+        stable_k = np.interp(HEIGHT_M, self.height_m, self.sigma_k)
+        mixed_k = np.interp(HEIGHT_M, self.height_m, self.mixed_sigma_k)
+        return (1.0 - mixed) * stable_k + mixed * mixed_k
+
+    def share(self, moment: Moments) -> float:
+        """How much of its variance is in departures, or in changes so far apart."""
+        if not moment.is_change:
+            return 1.0
+        hours = moment.hours / self.memory_h
+        km = moment.km / self.reach_km
+        alike = math.exp(-hours - km)
+        return 2.0 * (1.0 - alike)
+
+
 @dataclass
 class Model:
     """The parts by the numbers that are fitted."""
 
     numbers: np.ndarray
 
-    def tables(self) -> dict[str, dict[str, object]]:
+    def parts(self) -> dict[str, Part]:
         """Each part as the package has it."""
-        x = self.numbers
-        memory = dict(zip(("waves", "layers", "ground", "fine"), np.exp(x[26:30]), strict=True))
-        reach = dict(
-            zip(("waves", "layers", "climate", "ground", "fine"), np.exp(x[30:35]), strict=True)
-        )
-        ground = GROUND_K * np.exp(-GROUND_NODE_M / GROUND_DEPTH_M)
-        ground[-1] = 0.0
-        length = float(np.exp(x[25]))
-        shapes = {
-            "waves": (NODE_M, x[:9], WAVES_LENGTH_M, "smooth"),
-            "layers": (NODE_M, x[9:18], length, "smooth"),
-            "climate": (
-                np.append(CLIMATE_NODE_M, STRATOSPHERE_M),
-                np.append(x[18:25], STRATOSPHERE_K),
-                CLIMATE_LENGTH_M,
-                "smooth",
+        waves_h, layers_h, ground_h, fine_h = np.exp(self.numbers[MEMORIES]).tolist()
+        reaches_km = np.exp(self.numbers[REACHES]).tolist()
+        waves_km, layers_km, climate_km, ground_km, fine_km = reaches_km
+        waves_k = self.numbers[WAVES]
+        layers_k = self.numbers[LAYERS]
+        climate_k = np.append(self.numbers[CLIMATE], STRATOSPHERE_K)
+        ground_k = GROUND_K * np.exp(-GROUND_NODE_M / GROUND_DEPTH_M)
+        ground_k[-1] = 0.0
+        parts = {
+            "waves": Part(
+                height_m=NODE_M,
+                sigma_k=waves_k,
+                length_m=WAVES_LENGTH_M,
+                memory_h=waves_h,
+                reach_km=waves_km,
             ),
-            "ground": (GROUND_NODE_M, ground, WAVES_LENGTH_M, "smooth"),
+            "layers": Part(
+                height_m=NODE_M,
+                sigma_k=layers_k,
+                mixed_sigma_k=self.in_mixed_air(NODE_M, layers_k),
+                length_m=float(np.exp(self.numbers[LAYERS_LENGTH])),
+                memory_h=layers_h,
+                reach_km=layers_km,
+            ),
+            "climate": Part(
+                height_m=np.append(CLIMATE_NODE_M, STRATOSPHERE_M),
+                sigma_k=climate_k,
+                length_m=CLIMATE_LENGTH_M,
+                memory_h=CLIMATE_MEMORY_H,
+                reach_km=climate_km,
+            ),
+            "ground": Part(
+                height_m=GROUND_NODE_M,
+                sigma_k=ground_k,
+                length_m=WAVES_LENGTH_M,
+                memory_h=ground_h,
+                reach_km=ground_km,
+            ),
         }
-        mixed = float(np.exp(x[35]))
-        mixed_k = {"layers": x[9:18] * np.where(NODE_M < MIXED_BELOW_M, mixed, 1.0)}
-        for name, fine_length in FINE_LENGTH_M.items():
-            stable = FINE_K * FINE_SHARES[name]
-            shapes[name] = (FINE_NODE_M, stable, fine_length, name)
-            mixed_k[name] = stable * np.where(FINE_NODE_M < MIXED_BELOW_M, mixed, 1.0)
-        memory |= {"climate": CLIMATE_MEMORY_H, "kinked": memory["fine"], "smooth": memory["fine"]}
-        reach |= {"kinked": reach["fine"], "smooth": reach["fine"]}
-        return {
-            name: {
-                "height_m": nodes,
-                "sigma_k": sigma,
-                "mixed_sigma_k": mixed_k.get(name, sigma),
-                "length_m": length_m,
-                "shape": shape,
-                "memory_h": float(memory[name]),
-                "reach_km": float(reach[name]),
-            }
-            for name, (nodes, sigma, length_m, shape) in shapes.items()
-        }
+        for name, length_m in FINE_LENGTH_M.items():
+            fine_k = FINE_K * FINE_SHARES[name]
+            parts[name] = Part(
+                height_m=FINE_NODE_M,
+                sigma_k=fine_k,
+                mixed_sigma_k=self.in_mixed_air(FINE_NODE_M, fine_k),
+                length_m=length_m,
+                shape=name,
+                memory_h=fine_h,
+                reach_km=fine_km,
+            )
+        return parts
 
-    def moments(self, of: list[Moments]) -> list[np.ndarray]:
+    def in_mixed_air(self, height_m: np.ndarray, stable_k: np.ndarray) -> np.ndarray:
+        """Amplitudes in mixed air [K], by those in stable air."""
+        mixed = float(np.exp(self.numbers[MIXED]))
+        return stable_k * np.where(height_m < MIXED_BELOW_M, mixed, 1.0)
+
+    def moments(self, observed: list[Moments]) -> list[np.ndarray]:
         """What the parts give in the place of the observed moments."""
         apart = np.abs(HEIGHT_M[:, None] - HEIGHT_M)
-        sums = [np.zeros(apart.shape) for _ in of]
-        for part in self.tables().values():
-            stable, mixed = (
-                np.interp(HEIGHT_M, part["height_m"], part[key])
-                for key in ("sigma_k", "mixed_sigma_k")
-            )
-            shape = correlation(apart, part["length_m"], kinked=part["shape"] == "kinked")
-            for i, moment in enumerate(of):
-                sigma = (1.0 - moment.mixed) * stable + moment.mixed * mixed
+        sums = [np.zeros(apart.shape) for _ in observed]
+        for part in self.parts().values():
+            is_kinked = part.shape == "kinked"
+            shape = correlation(apart, part.length_m, kinked=is_kinked)
+            for matrix, moment in zip(sums, observed, strict=True):
+                sigma = part.sigma(moment.mixed)
                 covariance = np.outer(sigma, sigma) * shape
-                alike = math.exp(-moment.hours / part["memory_h"] - moment.km / part["reach_km"])
-                sums[i] += covariance * (2.0 * (1.0 - alike) if moment.is_change else 1.0)
+                matrix += covariance * part.share(moment)
         return sums
+
+
+def variance_of_r(matrix: np.ndarray) -> np.ndarray:
+    """(c,) of R at `CLIMBS_M` [%2], of temperatures with these second moments."""
+    return np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
+
+
+def residuals_of(moment: Moments, matrix: np.ndarray) -> np.ndarray:
+    """What a model misses of the moments, in units of their weight."""
+    variance = np.maximum(np.diag(moment.matrix), 1.0)
+    sigma = np.sqrt(variance)
+    root = math.sqrt(sigma.size)
+    of_matrix = (matrix - moment.matrix) / np.outer(sigma, sigma) / root
+    of_r = np.log(variance_of_r(matrix) / moment.r)
+    variances = np.diag(matrix) / sigma**2
+    of_t = np.log(variances) / root
+    rows = [
+        of_matrix.ravel(),
+        FUNCTIONAL_WEIGHT * of_r,
+        FUNCTIONAL_WEIGHT * of_t,
+    ]
+    return np.sqrt(moment.weight / GROUP_WEIGHT) * np.concatenate(rows)
 
 
 def fitted(moments: list[Moments]) -> Model:
@@ -332,71 +495,75 @@ def fitted(moments: list[Moments]) -> Model:
 
     def residuals(numbers: np.ndarray) -> np.ndarray:
         parts = [0.3 * (numbers - START) / EXPECTED]
-        for moment, matrix in zip(moments, Model(numbers).moments(moments), strict=True):
-            sigma = np.sqrt(np.maximum(np.diag(moment.matrix), 1.0))
-            off = (matrix - moment.matrix) / np.outer(sigma, sigma)
-            off /= math.sqrt(sigma.size)
-            r = np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
-            of_r = FUNCTIONAL_WEIGHT * np.log(r / moment.r)
-            of_t = np.log(np.diag(matrix) / sigma**2) / math.sqrt(sigma.size)
-            rows = off.ravel(), of_r, FUNCTIONAL_WEIGHT * of_t
-            parts += [np.sqrt(moment.weight / GROUP_WEIGHT) * row for row in rows]
+        matrices = Model(numbers).moments(moments)
+        for moment, matrix in zip(moments, matrices, strict=True):
+            parts.append(residuals_of(moment, matrix))
         return np.concatenate(parts)
 
     low = np.full(START.size, -np.inf)
-    low[9:18] = LEAST_K
-    low[0] = LEAST_WAVES_K
-    low[18:25] = LEAST_CLIMATE_K
-    low[35] = math.log(LEAST_MIXED)
+    low[LAYERS] = LEAST_K
+    low[WAVES.start] = LEAST_WAVES_K
+    low[CLIMATE] = LEAST_CLIMATE_K
+    low[MIXED] = math.log(LEAST_MIXED)
     high = np.full(START.size, np.inf)
-    high[29] = math.log(LONGEST_FINE_H)
-    return Model(least_squares(residuals, START, bounds=(low, high)).x)
+    high[MEMORY_OF_FINE] = math.log(LONGEST_FINE_H)
+    fit = least_squares(residuals, START, bounds=(low, high))
+    return Model(fit.x)
 
 
-def print_toml(daily: np.ndarray, model: Model, count: int) -> None:
+def print_toml(daily: np.ndarray, model: Model, count: int):
     """The numbers as the package reads them."""
-
-    def row(values: np.ndarray, digits: int) -> str:
-        return "[" + ", ".join(f"{value:.{digits}f}" for value in values) + "]"
-
     print(f"# Written by benchmarks/fit_air.py from {count} public ascents: do not edit.")
     print("\n[daily]")
     print(f"height_m = {row(LOW_M, 0)}")
-    for name, values in zip(
-        ("winter_k", "summer_k", "by_hour_winter_k", "by_hour_summer_k"), daily, strict=True
-    ):
+    names = ("winter_k", "summer_k", "by_hour_winter_k", "by_hour_summer_k")
+    for name, values in zip(names, daily, strict=True):
         print(f"{name} = {row(values, 2)}")
-    for name, part in model.tables().items():
+    for name, part in model.parts().items():
         print(f"\n[parts.{name}]")
-        print(f"height_m = {row(part['height_m'], 0)}")
-        print(f"sigma_k = {row(part['sigma_k'], 2)}")
-        print(f"mixed_sigma_k = {row(part['mixed_sigma_k'], 2)}")
-        print(f"length_m = {part['length_m']:.0f}")
-        print(f'shape = "{part["shape"]}"')
-        print(f"memory_h = {part['memory_h']:.1f}")
-        print(f"reach_km = {part['reach_km']:.0f}")
+        print(f"height_m = {row(part.height_m, 0)}")
+        print(f"sigma_k = {row(part.sigma_k, 2)}")
+        print(f"mixed_sigma_k = {row(part.mixed_sigma_k, 2)}")
+        print(f"length_m = {part.length_m:.0f}")
+        print(f'shape = "{part.shape}"')
+        print(f"memory_h = {part.memory_h:.1f}")
+        print(f"reach_km = {part.reach_km:.0f}")
 
 
-def main() -> None:
+def row(values: np.ndarray, digits: int) -> str:
+    return "[" + ", ".join(f"{value:.{digits}f}" for value in values) + "]"
+
+
+def print_ratios(moment: Moments, matrix: np.ndarray):
+    """Observed over fitted, to the error stream."""
+    case = f"{moment.hours:.0f} h, {moment.km:.0f} km, {moment.mixed:.1f} mixed"
+    of_r = np.sqrt(moment.r / variance_of_r(matrix))
+    of_t = np.sqrt(np.diag(moment.matrix) / np.diag(matrix))
+    ratios = f"R {row(of_r, 2)}, T {row(of_t[::4], 2)}"
+    print(f"{case:>32}: observed over fitted {ratios}", file=sys.stderr)
+
+
+def main():
     """Read, fit, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)
-    parser.add_argument("--half", type=int, choices=(0, 1), help="fit this half of the ascents")
+    parser.add_argument(
+        "--half",
+        type=int,
+        choices=(0, 1),
+        help="fit this half of the ascents",
+    )
     arguments = parser.parse_args()
     ascents = read_ascents(arguments.folder)
     if arguments.half is not None:
         ascents = [ascent for ascent in ascents if ascent.half == arguments.half]
     departures = Departures(ascents)
-    daily = daily_tables(departures, land_share(ascents))
-    moments = observed(departures)
+    share = np.array([share_of_day(ascent.latitude_rad) for ascent in ascents])
+    daily = daily_tables(departures, share)
+    moments = Observed(departures).moments()
     model = fitted(moments)
     for moment, matrix in zip(moments, model.moments(moments), strict=True):
-        r = np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
-        what = f"{moment.hours:.0f} h, {moment.km:.0f} km, {moment.mixed:.1f} mixed"
-        ratios = ", ".join(f"{ratio:.2f}" for ratio in np.sqrt(moment.r / r))
-        kelvin = np.sqrt(np.diag(moment.matrix) / np.diag(matrix))[::4]
-        of_t = ", ".join(f"{ratio:.2f}" for ratio in kelvin)
-        print(f"{what:>32}: observed over fitted R {ratios}, T {of_t}", file=sys.stderr)
+        print_ratios(moment, matrix)
     print_toml(daily, model, len(ascents))
 
 

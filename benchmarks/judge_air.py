@@ -9,9 +9,8 @@ what `fit_air.py --half` makes of the other into the package first. ``--every`` 
 N.
 """
 
-from __future__ import annotations
-
 import argparse
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,7 +85,7 @@ def background_of(ascent: Ascent):
 def judged(truth: Ascent, source: str, soundings=(), surface=()) -> Judgement:
     """What a source says of the air of an ascent."""
     ledger = Ledger()
-    made = build_adjusted_profile(
+    adjusted = build_adjusted_profile(
         AirSamples(),
         US1976,
         truth.latitude_rad,
@@ -99,11 +98,14 @@ def judged(truth: Ascent, source: str, soundings=(), surface=()) -> Judgement:
     )
     errors = []
     sigmas = []
+    ground = float(truth.h_m[0])
     for climb in CLIMBS_M:
-        known = truth.reaches(climb)
-        ground = float(truth.h_m[0])
-        errors.append(100.0 * truth.error(made.profile, climb) if known else np.nan)
-        sigmas.append(100.0 * made.covariance.relative_sigma(ground + climb, ground))
+        error = np.nan
+        if truth.reaches(climb):
+            error = truth.error(adjusted.profile, climb)
+        sigma = adjusted.covariance.relative_sigma(ground + climb, ground)
+        errors.append(100.0 * error)
+        sigmas.append(100.0 * sigma)
     codes = tuple(entry.code for entry in ledger)
     return Judgement(source, truth.group, tuple(errors), tuple(sigmas), codes)
 
@@ -116,72 +118,88 @@ def flights_and_sources(
     for truth in flights[::every]:
         yield truth, "climatology", [], []
         yield truth, "METAR", [], [metar_of(truth)]
-        here = [other for other in ascents if other.km_from(truth) < 1.0]
-        of_hours = {}
-        for hours in (-12, -24, 12):
-            for other in here:
-                if abs((other.time_ns - truth.time_ns) / HOUR_NS - hours) < 1.5:
-                    of_hours[hours] = sounding_of(other)
-        if -12 in of_hours:
-            yield truth, "sounding, 12 h old", [of_hours[-12]], []
-        if -24 in of_hours:
-            yield truth, "sounding, 24 h old", [of_hours[-24]], []
-        if -12 in of_hours and 12 in of_hours:
-            yield truth, "soundings, 12 h before and after", [of_hours[-12], of_hours[12]], []
-        others = [
-            other
-            for other in ascents
-            if other.time_ns == truth.time_ns and 1.0 < other.km_from(truth) < NEAR_KM
-        ]
-        if others:
-            nearest = min(others, key=truth.km_from)
+        at_hours = soundings_of_place(truth, ascents)
+        if -12 in at_hours:
+            yield truth, "sounding, 12 h old", [at_hours[-12]], []
+        if -24 in at_hours:
+            yield truth, "sounding, 24 h old", [at_hours[-24]], []
+        if -12 in at_hours and 12 in at_hours:
+            yield truth, "soundings, 12 h before and after", [at_hours[-12], at_hours[12]], []
+        neighbours = []
+        for ascent in ascents:
+            if ascent.time_ns == truth.time_ns and 1.0 < ascent.km_from(truth) < NEAR_KM:
+                neighbours.append(ascent)
+        if neighbours:
+            nearest = min(neighbours, key=truth.km_from)
             yield truth, "nearest sounding of the hour", [sounding_of(nearest)], []
 
 
-def print_sigmas(rows: list[Judgement]) -> None:
+def soundings_of_place(truth: Ascent, ascents: list[Ascent]) -> dict[int, Sounding]:
+    """Soundings at the place of an ascent, by the hours after it."""
+    at_hours = {}
+    for ascent in ascents:
+        if ascent.km_from(truth) >= 1.0:
+            continue
+        later_h = (ascent.time_ns - truth.time_ns) / HOUR_NS
+        for hours in (-12, -24, 12):
+            if abs(later_h - hours) < 1.5:
+                at_hours[hours] = sounding_of(ascent)
+    return at_hours
+
+
+def print_sigmas(rows: list[Judgement]):
     """RMS of error over sigma and the share beyond 3, of all and of each group."""
     heights = "".join(f"{climb / 1e3:>16g} km" for climb in CLIMBS_M)
     print(f"{'error/sigma: RMS (beyond 3, rms error %)':<58}{'n':>5}{heights}")
     for source in dict.fromkeys(row.source for row in rows):
         of_source = [row for row in rows if row.source == source]
-        groups = dict.fromkeys(row.group for row in of_source)
-        for group in ("all", *groups):
-            chosen = [row for row in of_source if group in ("all", row.group)]
-            error = np.array([row.error for row in chosen])
-            ratio = error / np.array([row.sigma for row in chosen])
-            cells = ""
-            for i in range(len(CLIMBS_M)):
-                known = np.isfinite(ratio[:, i])
-                z = ratio[known, i]
-                e = error[known, i]
-                rms = np.sqrt(np.mean(z**2))
-                off = np.sqrt(np.mean(e**2))
-                cells += f"  {rms:5.2f} ({100 * np.mean(np.abs(z) > 3):3.0f} %,{off:4.1f})"
-            print(f"{source + ': ' + group:<58}{len(chosen):>5}{cells}")
-        codes = [code for row in of_source for code in set(row.codes)]
-        print("      " + ", ".join(f"{code} {codes.count(code)}" for code in sorted(set(codes))))
+        print_group(f"{source}: all", of_source)
+        for group in dict.fromkeys(row.group for row in of_source):
+            of_group = [row for row in of_source if row.group == group]
+            print_group(f"{source}: {group}", of_group)
+        codes: Counter[str] = Counter()
+        for row in of_source:
+            codes.update(set(row.codes))
+        print("      " + ", ".join(f"{code} {count}" for code, count in sorted(codes.items())))
 
 
-def print_by_day(ascents: list[Ascent]) -> None:
+def print_group(label: str, rows: list[Judgement]):
+    """RMS of error over sigma, the share beyond 3, and RMS of the error [%], by climb."""
+    error = np.array([row.error for row in rows])
+    ratio = error / np.array([row.sigma for row in rows])
+    cells = ""
+    for error_of_climb, ratio_of_climb in zip(error.T, ratio.T, strict=True):
+        known = np.isfinite(ratio_of_climb)
+        z = ratio_of_climb[known]
+        rms_of_z = np.sqrt(np.mean(z**2))
+        beyond = 100 * np.mean(np.abs(z) > 3)
+        rms_of_error = np.sqrt(np.mean(error_of_climb[known] ** 2))
+        cells += f"  {rms_of_z:5.2f} ({beyond:3.0f} %,{rms_of_error:4.1f})"
+    print(f"{label:<58}{len(rows):>5}{cells}")
+
+
+def print_by_day(ascents: list[Ascent]):
     """What the climatology leaves by day, beside US 1976: RMS and mean of the error of R [%]."""
     by_day = [a for a in ascents if DAY_HOURS[0] <= a.solar_hour <= DAY_HOURS[1]]
     print(f"climatology by day, error of R: RMS (mean) [%]; US 1976; {len(by_day)} ascents")
-    airs = [(ascent, background_of(ascent).profile) for ascent in by_day]
+    airs = [background_of(ascent).profile for ascent in by_day]
     for climb in (500.0, 1000.0, 1500.0, 3000.0, 6000.0, 10_000.0):
-        rows = np.array(
-            [
-                (100.0 * ascent.error(air, climb), 100.0 * ascent.error(US1976, climb))
-                for ascent, air in airs
-                if ascent.reaches(climb)
-            ]
-        )
-        rms = np.sqrt(np.mean(rows**2, axis=0))
-        mean = rows.mean(axis=0)
-        ours, standard = (f"{rms[i]:5.1f} ({mean[i]:+5.1f})" for i in (0, 1))
-        print(f"{climb / 1e3:>6g} km  {ours}   {standard}")
+        ours = []
+        standard = []
+        for ascent, air in zip(by_day, airs, strict=True):
+            if ascent.reaches(climb):
+                ours.append(ascent.error(air, climb))
+                standard.append(ascent.error(US1976, climb))
+        print(f"{climb / 1e3:>6g} km  {rms_and_mean(ours)}   {rms_and_mean(standard)}")
 
 
-def main() -> None:
+def rms_and_mean(errors: list[float]) -> str:
+    percent = 100.0 * np.array(errors)
+    rms = np.sqrt(np.mean(percent**2))
+    return f"{rms:5.1f} ({percent.mean():+5.1f})"
+
+
+def main():
     """Read the ascents, judge, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)

@@ -5,15 +5,12 @@
 The library decodes the log as it was, we decode what it grew to: rates are compared.
 """
 
-from __future__ import annotations
-
-import itertools
-import statistics
 import struct
 import sys
 import tempfile
-import time
 from pathlib import Path
+
+from timing import Rates, seconds
 
 from unbend.ingest import open_log
 from unbend.ingest.mcap.mcap_log import MCAP
@@ -34,30 +31,39 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
     from mcap.writer import Writer
 
     with log.open("rb") as stream:
-        rows = list(make_reader(stream).iter_messages(log_time_order=False))
+        reader = make_reader(stream)
+        rows = list(reader.iter_messages(log_time_order=False))
     times = [message.log_time for _, _, message in rows]
-    length = (max(times) - min(times)) // SECOND + 1
+    length_s = (max(times) - min(times)) // SECOND + 1
     count = 0
     with out.open("wb") as stream:
         writer = Writer(stream)
         numbers = {}
         writer.start(profile="ros2", library="unbend benchmark")
-        for copy in itertools.count():
-            if stream.tell() >= size_bytes:
-                break
+        later_s = 0
+        while stream.tell() < size_bytes:
             for schema, channel, message in rows:
                 if channel.id not in numbers:
                     number = writer.register_schema(schema.name, schema.encoding, schema.data)
                     numbers[channel.id] = writer.register_channel(
-                        channel.topic, channel.message_encoding, number
+                        channel.topic,
+                        channel.message_encoding,
+                        number,
                     )
                 data = message.data
-                at = message.log_time + copy * length * SECOND
                 if known_name(schema.name) in SCHEMAS:
                     sec, nanosec = STAMP.unpack_from(data, 4)
-                    data = data[:4] + STAMP.pack(sec + copy * length, nanosec) + data[12:]
-                writer.add_message(numbers[channel.id], at, data, at, message.sequence)
+                    data = data[:4] + STAMP.pack(sec + later_s, nanosec) + data[12:]
+                time_ns = message.log_time + later_s * SECOND
+                writer.add_message(
+                    numbers[channel.id],
+                    log_time=time_ns,
+                    data=data,
+                    publish_time=time_ns,
+                    sequence=message.sequence,
+                )
                 count += 1
+            later_s += length_s
         writer.finish()
     return count
 
@@ -78,36 +84,23 @@ def ours(log: Path) -> int:
     return sum(len(channel) for channel in MCAP.read(log, Ledger()).channels)
 
 
-def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:
+def main(source: Path, megabytes: int = 110, pairs: int = 7):
     """Print the ratio of the rates and its spread."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "grown.mcap"
         count = grow(source, log, megabytes * 1_000_000)
         topics = [channel.name for channel in open_log(log).channels]
-        wanted = ours(log)
         size = log.stat().st_size / 1e6
         print(
-            f"{source.name} grown to {size:.0f} MB, {count:,} messages, {wanted:,} of them in "
+            f"{source.name} grown to {size:.0f} MB, {count:,} messages, {ours(log):,} of them in "
             f"{len(topics)} topics"
         )
-        rates = []
-        for _ in range(pairs):
-            begin = time.perf_counter()
-            decoded = library(source, topics)
-            middle = time.perf_counter()
-            ours(log)
-            rates.append((decoded / (middle - begin), wanted / (time.perf_counter() - middle)))
-        ratios = [b / a for a, b in rates]
-        theirs, mine = (statistics.median(column) / 1e3 for column in zip(*rates, strict=True))
-        print(
-            f"{statistics.median(ratios):.1f}x mcap-ros2-support (median of {pairs} pairs, "
-            f"{min(ratios):.1f} to {max(ratios):.1f}); {theirs:.0f} and {mine:.0f} thousand "
-            "messages a second"
-        )
-        begin = time.perf_counter()
-        open_log(log)
-        print(f"open_log, channels, hash and all: {time.perf_counter() - begin:.2f} s")
+        rates = Rates.by_turns(lambda: library(source, topics), lambda: ours(log), pairs)
+        library_rate, our_rate = rates.medians(1e3)
+        print(rates.ratio("mcap-ros2-support"))
+        print(f"{library_rate:.0f} and {our_rate:.0f} thousand messages a second")
+        print(f"open_log, channels, hash and all: {seconds(lambda: open_log(log)):.2f} s")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *(int(word) for word in sys.argv[2:]))
+    main(Path(sys.argv[1]), *map(int, sys.argv[2:]))

@@ -1,7 +1,5 @@
 """A survey of any size for the benchmarks: exposures, a camera, image points."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +19,16 @@ from unbend.refraction import (
 )
 
 CAMERA = Camera(
-    14_000, 10_600, 20_000.0, 20_000.0, 7012.4, 5291.7, BrownConrady(-0.018, 0.009, -0.002)
+    width_px=14_000,
+    height_px=10_600,
+    fx_px=20_000.0,
+    fy_px=20_000.0,
+    cx_px=7012.4,
+    cy_px=5291.7,
+    distortion=BrownConrady(-0.018, 0.009, -0.002),
 )
 GROUND_M = 500.0
-_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 def air() -> Profile:
@@ -36,34 +40,40 @@ def exposures(count: int) -> Exposures:
     """Nadir images from 6 km, a few degrees off the vertical, behind a window."""
     rng = np.random.default_rng(1)
     height = 6000.0 + rng.normal(0.0, 5.0, count)
-    angles = np.stack([rng.uniform(-180, 180, count), *rng.normal(0, 2, (2, count))], axis=1)
+    yaw = rng.uniform(-180, 180, count)
+    tilts = rng.normal(0, 2, (2, count))
+    angles = np.stack([yaw, *tilts], axis=1)
+    turns = Rotation.from_euler("zxy", angles, degrees=True)
     outside = air().refractivity(height)
     return Exposures(
-        np.ones(count, bool),
-        Rotation.from_euler("zxy", angles, degrees=True).as_matrix() @ _DOWN,
-        rng.uniform(0.80, 0.81, count),
-        height,
-        outside,
-        outside + 7e-5,
+        usable=np.ones(count, bool),
+        rotation=turns.as_matrix() @ _DOWN,
+        latitude_rad=rng.uniform(0.80, 0.81, count),
+        height_m=height,
+        refractivity_outside=outside,
+        refractivity_cabin=outside + 7e-5,
     )
 
 
-def uncertainty(of: Exposures) -> Uncertainty | None:
+def uncertainty(exposures: Exposures) -> Uncertainty | None:
     """Of exposures in air that is known to half a kelvin, by stations to 0.05 degree and 2 m."""
     profile = air()
-    count = of.usable.size
-    size = profile.layers.edge.size
-    known = np.concatenate([np.full(size, 0.5), [0.001], np.full(size, 1e-4)])
+    count = exposures.usable.size
+    layers = profile.layers.edge.size
+    temperature_k = np.full(layers, 0.5)
+    vapour = np.full(layers, 1e-4)
+    sigma = np.concatenate([temperature_k, [0.001], vapour])
+    covariance = ProfileCovariance(profile, 0.0, np.diag(sigma**2))
     stations = StationSigmas(
-        np.full(count, 1e-3),
-        np.full(count, 3e-3),
-        np.tile([0.0, 0.0, 1.0], (count, 1)),
-        np.full(count, 2.0),
+        tilt_rad=np.full(count, 1e-3),
+        yaw_rad=np.full(count, 3e-3),
+        yaw_axis=np.tile([0.0, 0.0, 1.0], (count, 1)),
+        height_m=np.full(count, 2.0),
     )
     return uncertainty_of(
         profile,
-        ProfileCovariance(profile, 0.0, np.diag(known**2)),
-        of,
+        covariance,
+        exposures,
         stations,
         [(CAMERA, np.ones(count, bool))],
         ground_heights_m=(-600.0, 10_000.0),
@@ -83,20 +93,24 @@ def image_names(count: int) -> np.ndarray:
     return np.array([f"IMG_{i:05d}.tif" for i in range(count)], dtype=object)
 
 
-def write_observations(path: Path, rows: int, images: int) -> None:
+def write_observations(path: Path, rows: int, images: int):
     """A table of observations, image by image, each point seen in some five images."""
     x, y, h_g = points(rows)
     rng = np.random.default_rng(3)
     point = rng.integers(0, rows // 5, rows).astype(np.int32)
-    names = pa.array([f"P{i:07d}" for i in range(rows // 5)])
+    point_names = pa.array([f"P{i:07d}" for i in range(rows // 5)])
+    points_seen = pa.DictionaryArray.from_arrays(point, point_names)
     image = np.repeat(np.arange(images, dtype=np.int32), rows // images)
-    table = pa.table(
-        {
-            "image": pa.DictionaryArray.from_arrays(image, pa.array(image_names(images))),
-            "point": pa.DictionaryArray.from_arrays(point, names).cast(pa.string()),
-            "x_px": x,
-            "y_px": y,
-            "h_g_m": h_g,
-        }
+    columns = {
+        "image": pa.DictionaryArray.from_arrays(image, pa.array(image_names(images))),
+        "point": points_seen.cast(pa.string()),
+        "x_px": x,
+        "y_px": y,
+        "h_g_m": h_g,
+    }
+    pq.write_table(
+        pa.table(columns),
+        path,
+        compression="zstd",
+        row_group_size=1_000_000,
     )
-    pq.write_table(table, path, compression="zstd", row_group_size=1_000_000)

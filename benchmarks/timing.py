@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 ROUNDS = 7
 
@@ -18,6 +21,42 @@ def seconds(action: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
+def rate(action: Callable[[], int]) -> float:
+    """Items a second of a call that returns how many it has worked on."""
+    start = time.perf_counter()
+    items = action()
+    return items / (time.perf_counter() - start)
+
+
+@dataclass
+class Rates:
+    """Items a second of a library and of ours, by turns (pairs,)."""
+
+    library: np.ndarray
+    ours: np.ndarray
+
+    @classmethod
+    def by_turns(
+        cls,
+        library: Callable[[], int],
+        ours: Callable[[], int],
+        pairs: int,
+    ) -> Rates:
+        """Measure them; each call returns on how many items it has worked."""
+        pairs_of_rates = [(rate(library), rate(ours)) for _ in range(pairs)]
+        return cls(*np.transpose(pairs_of_rates))
+
+    def ratio(self, library: str) -> str:
+        """How many times as fast as the library."""
+        ratios = self.ours / self.library
+        spread = f"median of {ratios.size} pairs, {ratios.min():.1f} to {ratios.max():.1f}"
+        return f"{np.median(ratios):.1f}x {library} ({spread})"
+
+    def medians(self, unit: float) -> tuple[float, float]:
+        """Of the library and of ours, in so many items a second."""
+        return float(np.median(self.library)) / unit, float(np.median(self.ours)) / unit
+
+
 @dataclass
 class Ratios:
     """The ratios measured so far, each with its bound."""
@@ -25,13 +64,24 @@ class Ratios:
     rows: list[tuple[str, str, str, str]] = field(default_factory=list)
 
     def check(
-        self, what: str, ratio: float, *, at_least: float = 0.0, at_most: float = 0.0
-    ) -> None:
+        self,
+        what: str,
+        ratio: float,
+        *,
+        at_least: float = 0.0,
+        at_most: float = math.inf,
+    ):
         """Note a ratio and assert its bound: ``at_least`` or ``at_most``."""
-        bound = f">= {at_least:g}" if at_least else f"<= {at_most:g}"
-        holds = ratio >= at_least if at_least else ratio <= at_most
-        self.rows.append((what, f"{ratio:.3g}", bound, "" if holds else "NOT HELD"))
-        assert holds, f"{what}: {ratio:.3g}, but the bound is {bound}"
+        assert at_least > 0.0 or at_most < math.inf, f"{what}: no bound is stated"
+        bound = f"<= {at_most:g}"
+        if at_least:
+            bound = f">= {at_least:g}"
+        fulfilled = at_least <= ratio <= at_most
+        remark = ""
+        if not fulfilled:
+            remark = "NOT HELD"
+        self.rows.append((what, f"{ratio:.3g}", bound, remark))
+        assert fulfilled, f"{what}: {ratio:.3g}, but the bound is {bound}"
 
     def of_times(
         self,
@@ -48,6 +98,10 @@ class Ratios:
         """
         ours()
         reference()
-        times = [(seconds(ours), seconds(reference)) for _ in range(rounds)]
-        own, other = counts
-        return statistics.median((r / other) / (o / own) for o, r in times)
+        our_count, reference_count = counts
+        ratios = []
+        for _ in range(rounds):
+            our_s = seconds(ours) / our_count
+            reference_s = seconds(reference) / reference_count
+            ratios.append(reference_s / our_s)
+        return statistics.median(ratios)

@@ -5,15 +5,13 @@
 pymavlink reads the first 10 MB of it in each pair, we read the whole: rates are compared.
 """
 
-from __future__ import annotations
-
-import statistics
+import math
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
+from timing import Rates, seconds
 
 from unbend.ingest import open_log
 from unbend.ingest.buffers import open_view
@@ -41,15 +39,16 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
     The host's stamps and the vehicle's clocks move on by the length of the log with every copy,
     and checksums are made anew.
     """
-    source = _with_whole_clocks(np.frombuffer(log.read_bytes() + bytes(HEAD), np.uint8))
+    data = log.read_bytes() + bytes(HEAD)
+    source = _with_whole_clocks(np.frombuffer(data, np.uint8))
     room = source.shape[0] - HEAD
     frames = _frames(source)
     length_us = int(np.ptp(frames.host_us)) + 100_000
-    stamps = np.ndarray((room - 7,), ">u8", source, strides=(1,))
+    stamps = _at_any_byte(source, ">u8")
     first = stamps[frames.place]
     size = 0
     with out.open("wb") as stream:
-        for copy in range(-(-size_bytes // room)):
+        for copy in range(math.ceil(size_bytes / room)):
             stamps[frames.place] = first + np.uint64(copy * length_us)
             if copy:
                 _set_clocks_on(source, frames, length_us)
@@ -66,64 +65,98 @@ def _frames(source: np.ndarray) -> Frames:
 
 def _with_whole_clocks(source: np.ndarray) -> np.ndarray:
     """The log with room for later times: MAVLink 2 has trimmed the zeros of small ones."""
-    frames = _frames(source)
-    parts = []
-    for number in np.unique(frames.message_id).tolist():
-        dtype = dialect()[number].dtype
-        if set(dtype.names or ()) & set(CLOCKS):
-            rows = (frames.message_id == number) & (frames.length < dtype.itemsize)
-            rows &= frames.version == 2
-            parts += [(at, dtype.itemsize) for at in frames.place[rows].tolist()]
     data = source.tobytes()
+    out = bytearray()
     done = 0
-    out = []
-    for at, size in sorted(parts):
-        length = data[at + STAMP + 1]
-        end = at + HEAD + length
-        out += [data[done : at + STAMP + 1], bytes([size]), data[at + STAMP + 2 : end]]
-        out += [bytes(size - length)]
+    for place, size in _trimmed_clocks(_frames(source)):
+        at_length = place + STAMP + 1
+        length = data[at_length]
+        end = place + HEAD + length
+        out += data[done:at_length]
+        out.append(size)
+        out += data[at_length + 1 : end]
+        out += bytes(size - length)
         done = end
-    whole = np.frombuffer(b"".join([*out, data[done:]]), np.uint8).copy()
-    places = []
-    at = 0
-    raw = whole.tobytes()
-    while at < len(raw) - HEAD and (length := frame_length(raw, at)):
-        places.append(at)
-        at += length
-    _sign(whole, headers(whole, np.array(places), len(whole) - HEAD))
+    out += data[done:]
+    whole = np.frombuffer(out, np.uint8)
+    places = np.array(_places(bytes(out)))
+    _sign(whole, headers(whole, places, len(whole) - HEAD))
     return whole
 
 
-def _set_clocks_on(source: np.ndarray, frames: Frames, by_us: int) -> None:
+def _trimmed_clocks(frames: Frames) -> list[tuple[int, int]]:
+    """Places of frames that have lost zeros and have a clock, and their lengths with the zeros."""
+    trimmed = []
     for number in np.unique(frames.message_id).tolist():
         dtype = dialect()[number].dtype
-        for name, unit in CLOCKS.items():
-            if name not in (dtype.names or ()):
-                continue
-            kind, offset = dtype.fields[name][:2]
-            rows = (frames.message_id == number) & (frames.length >= offset + kind.itemsize)
-            values = np.ndarray((source.shape[0] - 8,), kind, source, strides=(1,))
+        if not CLOCKS.keys() & set(dtype.names or ()):
+            continue
+        rows = frames.message_id == number
+        rows &= frames.length < dtype.itemsize
+        rows &= frames.version == 2
+        for place in frames.place[rows].tolist():
+            trimmed.append((place, dtype.itemsize))
+    return sorted(trimmed)
+
+
+def _places(data: bytes) -> list[int]:
+    """Where the frames of a log without gaps begin."""
+    places = []
+    place = 0
+    while place < len(data) - HEAD:
+        length = frame_length(data, place)
+        if not length:
+            break
+        places.append(place)
+        place += length
+    return places
+
+
+def _set_clocks_on(source: np.ndarray, frames: Frames, by_us: int):
+    for number in np.unique(frames.message_id).tolist():
+        fields = dialect()[number].dtype.fields or {}
+        for name in CLOCKS.keys() & fields.keys():
+            kind, offset = fields[name][:2]
+            rows = frames.message_id == number
+            rows &= frames.length >= offset + kind.itemsize
+            values = _at_any_byte(source, kind)
             places = frames.payload[rows] + offset
             old = values[places]
-            values[places] = np.where(
-                old > 0, old + kind.type(by_us // unit % (1 << 8 * kind.itemsize)), 0
-            )
+            range_of_clock = 1 << 8 * kind.itemsize
+            units = by_us // CLOCKS[name] % range_of_clock
+            moved = old + kind.type(units)
+            values[places] = np.where(old > 0, moved, 0)
 
 
-def _sign(source: np.ndarray, frames: Frames) -> None:
+def _at_any_byte(source: np.ndarray, kind: np.dtype | str) -> np.ndarray:
+    """Values of a type of 8 bytes at most, at any byte."""
+    count = source.shape[0] - 8
+    return np.ndarray(
+        (count,),
+        kind,
+        source,
+        strides=(1,),
+    )
+
+
+def _sign(source: np.ndarray, frames: Frames):
     extras = np.zeros(1 << 16, np.uint16)
     for number, extra in crc_extras().items():
         extras[number] = extra
+    is_known = np.isin(frames.message_id, list(dialect()))
     for length in np.unique(frames.length).tolist():
         for version, before in ((1, 5), (2, 9)):
-            rows = (frames.length == length) & (frames.version == version)
-            rows &= np.isin(frames.message_id, list(dialect()))
+            rows = is_known & (frames.length == length)
+            rows &= frames.version == version
+            if not rows.any():
+                continue
+            size = before + length
             first = frames.place[rows] + STAMP + 1
-            if first.shape[0]:
-                extra = extras[frames.message_id[rows]]
-                crc = checksums(source, first, before + length, extra).computed
-                for byte in (0, 1):
-                    source[first + before + length + byte] = crc >> 8 * byte & 0xFF
+            extra = extras[frames.message_id[rows]]
+            crc = checksums(source, first, size, extra).computed
+            end = first + size
+            source[end] = crc & 0xFF
+            source[end + 1] = crc >> 8
 
 
 def library(log: Path, size: int) -> int:
@@ -146,31 +179,30 @@ def ours(log: Path) -> int:
         return sum(Scan(data, crc_extras(), wanted_layouts()).counts.values())
 
 
-def main(source: Path, megabytes: int = 110, pairs: int = 7) -> None:
+def main(source: Path, megabytes: int = 110, pairs: int = 7):
     """Print the ratio of the rates and its spread."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "grown.tlog"
         size = grow(source, log, megabytes * 1_000_000)
         print(f"{source.name} grown to {size / 1e6:.0f} MB, {ours(log):,} messages")
-        rates = []
-        for _ in range(pairs):
-            begin = time.perf_counter()
-            read = library(log, LIBRARY_BYTES)
-            middle = time.perf_counter()
+
+        def ours_of_bytes() -> int:
             ours(log)
-            rates.append((read / (middle - begin), size / (time.perf_counter() - middle)))
-        ratios = [b / a for a, b in rates]
-        theirs, mine = (statistics.median(column) / 1e6 for column in zip(*rates, strict=True))
-        print(
-            f"{len(NEEDED)} types, CRC on every frame: {statistics.median(ratios):.1f}x pymavlink "
-            f"(median of {pairs} pairs, {min(ratios):.1f} to {max(ratios):.1f}); {theirs:.1f} and "
-            f"{mine:.0f} MB/s"
+            return size
+
+        rates = Rates.by_turns(
+            lambda: library(log, LIBRARY_BYTES),
+            ours_of_bytes,
+            pairs,
         )
-        begin = time.perf_counter()
-        log_read = open_log(log)
-        print(f"open_log, channels, hash and all: {time.perf_counter() - begin:.2f} s")
-        print(f"boots {log_read.boots}, bad bytes {log_read.bad_bytes}")
+        library_rate, our_rate = rates.medians(1e6)
+        ratio = rates.ratio("pymavlink")
+        print(f"{len(NEEDED)} types, CRC on every frame: {ratio}")
+        print(f"{library_rate:.1f} and {our_rate:.0f} MB/s")
+        print(f"open_log, channels, hash and all: {seconds(lambda: open_log(log)):.2f} s")
+        opened = open_log(log)
+        print(f"boots {opened.boots}, bad bytes {opened.bad_bytes}")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *(int(word) for word in sys.argv[2:]))
+    main(Path(sys.argv[1]), *map(int, sys.argv[2:]))

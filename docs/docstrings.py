@@ -4,8 +4,6 @@ They are plain text with three habits: `name, name : what it is` describes an ar
 begin with `>>>` are an example, and a name in single backticks is another name of the reference.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 from functools import cache

@@ -8,8 +8,6 @@ folder. Kept are the cells, what they print and their pictures; not kept are tim
 numbers of cells, so that a new execution changes nothing else.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os
@@ -41,7 +39,7 @@ def notebooks() -> list[Path]:
 
 
 def cells_of(notebook: Path) -> list[Cell]:
-    cells: list[Cell] = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    cells: list[Cell] = json.loads(notebook.read_text("utf-8"))["cells"]
     return cells
 
 
@@ -171,7 +169,7 @@ def main() -> int:
         print("\n".join([f"{notebook.name}: {len(found)} cells print something else", *found]))
         if "--write" in words:
             text = json.dumps(now, indent=1, ensure_ascii=False, sort_keys=True)
-            notebook.write_text(text + "\n", encoding="utf-8")
+            notebook.write_text(text + "\n", "utf-8")
     return int(different > 0 and "--write" not in words)
 
 

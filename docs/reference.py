@@ -1,7 +1,5 @@
 """The generated parts of the pages: `<!-- generated: what of -->`."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Callable, Iterator
@@ -20,53 +18,57 @@ REPEATED = re.compile(r"log\.channels\.(?!position\b)\w+\.")
 def help_of(command: str) -> str:
     """What `unbend COMMAND --help` prints."""
     text, _ = printed_by([command, "--help"])
-    lines = "\n".join(line.rstrip() for line in text.strip().splitlines())
-    return f"```text\n{lines}\n```"
+    text = re.sub(r" +$", "", text.strip(), flags=re.MULTILINE)
+    return f"```text\n{text}\n```"
 
 
 def keys_of(section: str) -> str:
     """The keys of a section of the mission file, each under a heading of its own."""
-    found = [
-        key
-        for key in (*mission_keys(), *campaign_keys())
-        if key.path.split(".")[0] == section and not REPEATED.match(key.path)
-    ]
-    return "\n\n".join(lines for key in found for lines in key_lines(key))
+    lines: list[str] = []
+    for key in (*mission_keys(), *campaign_keys()):
+        if key.path.split(".")[0] == section and not REPEATED.match(key.path):
+            lines += key_lines(key)
+    return "\n\n".join(lines)
 
 
 def key_lines(key: MissionKey) -> Iterator[str]:
     """A key: its heading, what it means, what it takes."""
-    path = key.path.replace(".*", ".<name>", 1) if section_of_names(key) else key.path
-    path = path.replace("channels.position.", "channels.<role>.")
+    path = key.path.replace("channels.position.", "channels.<role>.")
+    if section_of_names(key):
+        path = path.replace(".*", ".<name>", 1)
     anchor = re.sub(r"[^a-z0-9]+", "-", key.path.lower()).strip("-")
     yield f"### `{path}` {{ #{anchor} }}"
-    text = key.text[:1].upper() + key.text[1:]
-    yield escaped(text.rstrip(".") + ".")
-    facts = [f"Takes {escaped(key.allowed)}.", f"Default: {escaped(key.default)}."]
+    text = key.text.rstrip(".")
+    text = text[:1].upper() + text[1:]
+    yield escaped(f"{text}.")
+    facts = f"Takes {escaped(key.allowed)}. Default: {escaped(key.default)}."
     if key.example:
-        facts.append(f"Example: `{key.path.rsplit('.', 1)[-1]}: {key.example}`")
-    yield " ".join(facts) + "\n{ .facts }"
+        name = key.path.rsplit(".", 1)[-1]
+        facts += f" Example: `{name}: {key.example}`"
+    yield f"{facts}\n{{ .facts }}"
 
 
 def section_of_names(key: MissionKey) -> bool:
     """Whether the first `*` of a key stands for a name of the reader's choice."""
-    return key.path.split(".")[0] in ("cameras", "mount", "events")
+    section = key.path.split(".")[0]
+    return section in ("cameras", "mount", "events")
 
 
 def columns_of(table: str) -> str:
     """The columns of a table of results."""
-    rows = [
-        f"| `{name}` | {unit or '-'} | {escaped(text)} |"
-        for name, (_, unit, text) in schemas.columns_of(table).items()
-    ]
-    return "\n".join(["| column | unit | |", "|---|---|---|", *rows])
+    rows = ["| column | unit | |", "|---|---|---|"]
+    for name, (_, unit, text) in schemas.columns_of(table).items():
+        shown_unit = unit or "-"
+        rows.append(f"| `{name}` | {shown_unit} | {escaped(text)} |")
+    return "\n".join(rows)
 
 
 def escaped(text: str) -> str:
     """Text that Markdown leaves as it is; `code` stays code."""
     parts = re.split(r"(`[^`]*`)", text)
-    plain = [re.sub(r"([*_<>|\\$\[\]{}])", r"\\\1", part) for part in parts[::2]]
-    return "".join(a + b for a, b in zip(plain, [*parts[1::2], ""], strict=True))
+    for number in range(0, len(parts), 2):  # between pieces of code
+        parts[number] = re.sub(r"([*_<>|\\$\[\]{}])", r"\\\1", parts[number])
+    return "".join(parts)
 
 
 def codes_of(table: str) -> str:
@@ -75,23 +77,29 @@ def codes_of(table: str) -> str:
         return exit_codes()
     if table == "families":
         return list_of_families()
-    return "\n\n".join(lines for code in families()[table] for lines in code_lines(code))
+    lines: list[str] = []
+    for code in families()[table]:
+        lines += code_lines(code)
+    return "\n\n".join(lines)
 
 
 def exit_codes() -> str:
     """A table of the exit codes."""
-    rows = [
-        f"| {code} | {escaped(e.means)} | {escaped(e.effect)} | {escaped(e.remedy)} |"
-        for code, e in explanations.meanings()["exit"].items()
-    ]
-    return "\n".join(["| code | means | the results | to do |", "|---|---|---|---|", *rows])
+    rows = ["| code | means | the results | to do |", "|---|---|---|---|"]
+    for code, entry in explanations.meanings()["exit"].items():
+        means = escaped(entry.means)
+        effect = escaped(entry.effect)
+        remedy = escaped(entry.remedy)
+        rows.append(f"| {code} | {means} | {effect} | {remedy} |")
+    return "\n".join(rows)
 
 
 def families() -> dict[str, list[str]]:
     """The codes of each family, which is called by the first word of its codes."""
     codes_of_family: dict[str, list[str]] = {}
     for code in sorted(explanations.meanings()["codes"]):
-        codes_of_family.setdefault(code.split("-")[0], []).append(code)
+        family = code.split("-")[0]
+        codes_of_family.setdefault(family, []).append(code)
     return codes_of_family
 
 
@@ -105,23 +113,26 @@ def list_of_families() -> str:
     rows = ["| family | codes |", "|---|---|"]
     for family, codes in families().items():
         page = family_page(family)
-        links = [f"[{code}]({page}#{code.lower()})" for code in codes]
-        rows.append(f"| [{family}]({page}) | {', '.join(links)} |")
+        links = ", ".join(f"[{code}]({page}#{code.lower()})" for code in codes)
+        rows.append(f"| [{family}]({page}) | {links} |")
     return "\n".join(rows)
 
 
 def code_lines(code: str) -> Iterator[str]:
     """A code: its heading, what it means, what it does to the result and what to do."""
     entry = explanations.meanings()["codes"][code]
+    effect = escaped(entry.effect)
+    remedy = escaped(entry.remedy)
     yield f"## {code}"
     yield escaped(entry.means)
-    yield f"Effect: {escaped(entry.effect)} To do: {escaped(entry.remedy)}\n{{ .facts }}"
+    yield f"Effect: {effect} To do: {remedy}\n{{ .facts }}"
 
 
 def project_urls() -> dict[str, str]:
     """The addresses that a maintainer fills into pyproject.toml: Repository and Issues, or none."""
-    text = (DOCS.parent / "pyproject.toml").read_text(encoding="utf-8")
-    urls: dict[str, str] = tomllib.loads(text)["project"].get("urls", {})
+    text = (DOCS.parent / "pyproject.toml").read_text("utf-8")
+    project = tomllib.loads(text)["project"]
+    urls: dict[str, str] = project.get("urls", {})
     return urls
 
 

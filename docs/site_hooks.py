@@ -1,7 +1,5 @@
 """Hooks of mkdocs: files outside docs/pages, generated parts and pages, notebooks, equations."""
 
-from __future__ import annotations
-
 import html
 import posixpath
 import re
@@ -35,29 +33,32 @@ EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>'
 
 def elsewhere() -> dict[Path, str]:
     """Files of the repository that the site has too, and their place in it."""
-    files = [*DOCS.glob("*.md"), *DOCS.glob("*.png")]
-    return {path: path.name for path in files} | {
-        DOCS.parent / "CONTRIBUTING.md": "contributing.md"
-    }
+    places = {DOCS.parent / "CONTRIBUTING.md": "contributing.md"}
+    for path in (*DOCS.glob("*.md"), *DOCS.glob("*.png")):
+        places[path] = path.name
+    return places
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """The address of the repository, if pyproject.toml has one, stands in the head of each page."""
+    """Show the address of the repository, if pyproject.toml has one, in the head of each page."""
     config.repo_url = project_urls().get("Repository")
     return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path, place in elsewhere().items():
-        files.append(File.generated(config, place, abs_src_path=str(path)))
+        file = File.generated(config, place, abs_src_path=str(path))
+        files.append(file)
     for notebook in sorted(PAGES.rglob("*.ipynb")):
         page = notebook.relative_to(PAGES).with_suffix(".md")
         files.append(File.generated(config, page.as_posix(), abs_src_path=str(notebook)))
         for name, picture in pictures_of(notebook).items():
-            files.append(File.generated(config, f"{page.parent}/{name}", content=picture))
+            place = f"{page.parent}/{name}"
+            files.append(File.generated(config, place, content=picture))
     for family in families():
+        place = family_page(family)
         text = f"# {family}\n\n<!-- generated: codes {family} -->\n"
-        files.append(File.generated(config, family_page(family), content=text))
+        files.append(File.generated(config, place, content=text))
     add_families(config)
     return files
 
@@ -66,13 +67,15 @@ def add_families(config: MkDocsConfig) -> None:
     """Put a page for each family of codes into the navigation, below the page of all codes."""
     for entry in config.nav or []:
         if isinstance(entry, dict) and "Codes" in entry:
-            entry["Codes"] = ["codes.md", *(family_page(family) for family in families())]
+            entry["Codes"] = ["codes.md", *map(family_page, families())]
 
 
 def on_page_read_source(page: Page, **_: Any) -> str | None:
     """A notebook as the Markdown of its page; other pages are read as they are."""
-    source = str(page.file.abs_src_path)
-    return text_of_page(Path(source)) if source.endswith(".ipynb") else None
+    source = Path(str(page.file.abs_src_path))
+    if source.suffix == ".ipynb":
+        return text_of_page(source)
+    return None
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
@@ -83,13 +86,17 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
         page.meta["search"] = {"exclude": True}
 
     def as_in_the_site(link: re.Match[str]) -> str:
-        target = (source.parent / link[2]).resolve()
-        place = places.get(target)
-        if place is None and target.is_relative_to(PAGES):
+        before, address, after = link.groups()
+        target = (source.parent / address).resolve()
+        if target in places:
+            place = places[target]
+        elif target.is_relative_to(PAGES):
             place = target.relative_to(PAGES).as_posix()
             if target.suffix == ".ipynb" and target != source:  # its own page offers the file
                 place = place.removesuffix(".ipynb") + ".md"
-        return link[0] if place is None else f"{link[1]}{posixpath.relpath(place, here)}{link[3]}"
+        else:
+            return link[0]
+        return before + posixpath.relpath(place, here) + after
 
     return LINK.sub(as_in_the_site, with_generated(markdown))
 
@@ -97,9 +104,11 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
 def on_page_content(content: str, **_: Any) -> str:
     """Equations as MathML, which browsers show without a script."""
 
-    def as_mathml(found: re.Match[str]) -> str:
+    def as_mathml(equation: re.Match[str]) -> str:
+        tag, text = equation.groups()
         # The converter leaves no space about the names of functions.
-        latex = FUNCTION.sub(r"\\,", html.unescape(found[2]).strip())
-        return convert(latex, display="block" if found[1] == "div" else "inline")
+        latex = FUNCTION.sub(r"\\,", html.unescape(text).strip())
+        display = "block" if tag == "div" else "inline"
+        return convert(latex, display=display)
 
     return EQUATION.sub(as_mathml, content)

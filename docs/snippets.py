@@ -11,8 +11,6 @@ run, too. A block with a title is written to the file of that name, mission file
 `<!-- given: flown -->` names. A block below `<!-- slow -->` is left out unless UNBEND_SNIPPETS=all.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os
@@ -91,86 +89,106 @@ FOUND: dict[Path, list[tuple[Block, Difference]]] = {}  # on the page of the fir
 
 def pages() -> list[Path]:
     """All pages with something to run."""
-    found = [REPOSITORY / "README.md", *DOCS.glob("*.md"), *(DOCS / "pages").rglob("*.md")]
-    apart = {"changelog.md", "changelog_details.md", "decisions.md"}
-    return sorted(
-        page for page in found if page.name not in apart and any(b.runs for b in blocks(page))
-    )
+    not_run = {"changelog.md", "changelog_details.md", "decisions.md"}
+    with_blocks = []
+    for page in (REPOSITORY / "README.md", *DOCS.glob("*.md"), *DOCS.glob("pages/**/*.md")):
+        if page.name not in not_run and any(block.runs for block in blocks(page)):
+            with_blocks.append(page)
+    return sorted(with_blocks)
 
 
 def blocks(page: Path) -> Iterator[Block]:
-    text = page.read_text(encoding="utf-8")
-    for found in FENCE.finditer(text):
-        title = TITLE.search(found["rest"])
-        indent = found["indent"]
-        body = re.sub(rf"^{indent}", "", found["body"], flags=re.M)
-        before = text[: found.start()].rstrip().rsplit("\n", 1)[-1].strip()
+    text = page.read_text("utf-8")
+    for fence in FENCE.finditer(text):
+        title = ""
+        stated = TITLE.search(fence["rest"])
+        if stated:
+            title = stated[1]
+        indent = fence["indent"]
+        before = text[: fence.start()].rstrip()
         yield Block(
-            found["kind"],
-            title[1] if title else "",
-            body,
-            before == "<!-- slow -->",
-            found.start("body"),
-            found.end("body"),
-            indent,
+            kind=fence["kind"],
+            title=title,
+            body=re.sub(rf"^{indent}", "", fence["body"], flags=re.M),
+            slow=before.endswith("<!-- slow -->"),
+            start=fence.start("body"),
+            end=fence.end("body"),
+            indent=indent,
         )
 
 
 def given(page: Path) -> list[str]:
     """What the folder of the page has from the beginning."""
-    found = re.search(r"<!-- given: ([^>]*?) -->", page.read_text(encoding="utf-8"))
-    return found[1].split(", ") if found else []
+    comment = re.search(r"<!-- given: ([^>]*?) -->", page.read_text("utf-8"))
+    if comment is None:
+        return []
+    return comment[1].split(", ")
+
+
+@contextlib.contextmanager
+def arguments(words: list[str]) -> Iterator[io.StringIO]:
+    """`sys.argv` for a program in this process; what it prints."""
+    printed = io.StringIO()
+    before = (sys.argv, sys.excepthook)
+    sys.argv = words
+    try:
+        with contextlib.redirect_stdout(printed):
+            yield printed
+    finally:
+        sys.argv, sys.excepthook = before
 
 
 def printed_by(words: list[str]) -> tuple[str, int]:
     """Run `unbend` with these words, in this process: what it prints, and its exit code."""
-    said = io.StringIO()
-    kept = (sys.argv, sys.excepthook)
-    sys.argv, code = ["unbend", *words], 0
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    code = 0
+    with arguments(["unbend", *words]) as printed, contextlib.redirect_stderr(printed):
+        try:
             unbend_main()
-    except SystemExit as end:
-        code = int(end.code or 0)
-    finally:
-        sys.argv, sys.excepthook = kept
-    return said.getvalue(), code
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return printed.getvalue(), code
+
+
+def run_shell(line: str, text: str | None = None) -> tuple[str, int]:
+    """Run a line by a shell, with a text as its input."""
+    ended = subprocess.run(line, shell=True, input=text, capture_output=True, text=True)
+    return ended.stdout + ended.stderr, ended.returncode
+
+
+def with_names(words: list[str]) -> list[str]:
+    """Words of a shell, with the names of files in the place of patterns."""
+    names = []
+    for word in words:
+        if "*" in word:
+            names += sorted(str(path) for path in Path().glob(word))
+        else:
+            names.append(word)
+    return names
 
 
 def run_line(line: str) -> tuple[str, int]:
     """Run one line of a shell: `unbend`, `python FILE`, or one of a few others; pipes are known."""
-    first, mark, rest = re.match(r"((?:'[^']*'|[^|>'])*)([|>]?)(.*)", line, re.S).groups()  # type: ignore[union-attr]
-    words = shlex.split(first)
-    if words[0] == "unbend":
-        named = ([str(p) for p in sorted(Path().glob(w))] if "*" in w else [w] for w in words)
-        words = [word for words in named for word in words]
-        said, code = printed_by(words[1:])
-    elif words[0] == "python":
-        out = io.StringIO()
-        kept = sys.argv
-        sys.argv = words[1:]
-        try:
-            with contextlib.redirect_stdout(out):
-                runpy.run_path(words[1], run_name="__main__")
-        finally:
-            sys.argv = kept
-        said = out.getvalue()
-        code = 0
-    elif words[0] in SHELL:
-        rest = ""
-        mark = ""
-        done = subprocess.run(line, shell=True, capture_output=True, text=True)
-        said = done.stdout + done.stderr
-        code = done.returncode
+    if line.split()[0] in SHELL:
+        return run_shell(line)
+    parts = re.match(r"((?:'[^']*'|[^|>'])*)([|>]?)(.*)", line, re.S)
+    assert parts is not None  # it matches any text
+    command, mark, target = parts.groups()
+    program, *words = shlex.split(command)
+    code = 0
+    if program == "unbend":
+        text, code = printed_by(with_names(words))
+    elif program == "python":
+        with arguments(words) as printed:
+            runpy.run_path(words[0], run_name="__main__")
+        text = printed.getvalue()
     else:
         raise ValueError(f"{line!r} is not run: write it in a block `sh`")
     if mark == "|":
-        done = subprocess.run(rest, shell=True, input=said, capture_output=True, text=True)
-        said = done.stdout + done.stderr
+        text, _ = run_shell(target, text)
     elif mark == ">":
-        Path(rest.strip()).write_text(said, encoding="utf-8")
-        said = ""
-    return said, code
+        Path(target.strip()).write_text(text, "utf-8")
+        text = ""
+    return text, code
 
 
 def matches(shown: str, printed: str) -> bool:
@@ -180,34 +198,38 @@ def matches(shown: str, printed: str) -> bool:
         if line.strip() == "...":
             pattern += r"(?:[^\n]*\n)*?"
         else:
-            parts = (re.escape(part) for part in line.rstrip().split("..."))
+            parts = map(re.escape, line.rstrip().split("..."))
             pattern += "[^\n]*?".join(parts) + "\n"
-    text = "".join(f"{line.rstrip()}\n" for line in printed.rstrip().splitlines())
+    text = "".join(f"{line}\n" for line in lines_of(printed))
     return re.fullmatch(pattern, text) is not None
+
+
+def lines_of(text: str) -> list[str]:
+    """Lines without spaces at their ends, and without empty ones at the end of all."""
+    return [line.rstrip() for line in text.rstrip().splitlines()]
 
 
 def run_console(block: Block, differences: list[Difference]) -> None:
     """Run the lines of a block `console`, and note where it shows what is not printed."""
+    before, *parts = re.split(r"^(\$ .*(?:\\\n.*)*\n)", block.body, flags=re.M)
+    if before.strip():
+        raise ValueError(f"a block `console` begins with a line `$ ...`, not {before!r}")
     code = 0
-    parts = re.split(r"^(\$ .*(?:\\\n.*)*\n)", block.body, flags=re.M)
-    commands = parts[1::2]
-    outputs = parts[2::2]
-    if parts[0].strip():
-        raise ValueError(f"a block `console` begins with a line `$ ...`, not {parts[0]!r}")
-    at = 0
-    for number, (command, shown) in enumerate(zip(commands, outputs, strict=True)):
-        line = command[2:].replace("\\\n", " ").strip()
-        at = block.body.index(command, at) + len(command)
+    end = len(before)
+    commands = [part[2:].replace("\\\n", " ").strip() for part in parts[::2]]
+    for number, line in enumerate(commands):
+        command, shown = parts[2 * number : 2 * number + 2]
+        start = end + len(command)
+        end = start + len(shown)
         if line == "echo $?":
-            said = f"{code}\n"
+            printed = f"{code}\n"
         else:
-            said, code = run_line(line)
-            following = commands[number + 1][2:].strip() if number + 1 < len(commands) else ""
-            if code and following != "echo $?":
-                raise ValueError(f"{line!r} ends with {code}, which is not shown:\n{said}")
-        if not matches(shown, said):
-            differences.append(Difference(shown, said, at, at + len(shown)))
-        at += len(shown)
+            printed, code = run_line(line)
+            code_is_shown = commands[number + 1 : number + 2] == ["echo $?"]
+            if code and not code_is_shown:
+                raise ValueError(f"{line!r} ends with {code}, which is not shown:\n{printed}")
+        if not matches(shown, printed):
+            differences.append(Difference(shown, printed, start, end))
 
 
 def run_sh(block: Block) -> None:
@@ -215,9 +237,9 @@ def run_sh(block: Block) -> None:
     for line in block.body.replace("\\\n", " ").splitlines():
         line = line.split(" #")[0].strip()
         if line.startswith("unbend "):
-            said, code = run_line(line)
+            printed, code = run_line(line)
             if code:
-                raise ValueError(f"{line!r} ends with {code}:\n{said}")
+                raise ValueError(f"{line!r} ends with {code}:\n{printed}")
         elif not line.startswith(NOT_RUN) and line:
             raise ValueError(f"{line!r} is not run, and not known as a line of another program")
 
@@ -234,12 +256,12 @@ def load_yaml(block: Block, whole: str) -> str:
     if "cameras" in text and "output" in text:
         load_text(text)
         return block.body
-    two = (REPOSITORY / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
-    for base in filter(None, (whole, ONE_CAMERA)):
+    for mission in filter(None, (whole, ONE_CAMERA)):
         with contextlib.suppress(UnbendError):
-            load_text({**yaml.safe_load(base), **text})
+            load_text(yaml.safe_load(mission) | text)
             return whole
-    load_text({**yaml.safe_load(two), **text})
+    of_two_cameras = (REPOSITORY / "configs" / "sample_bin.yaml").read_text("utf-8")
+    load_text(yaml.safe_load(of_two_cameras) | text)
     return whole
 
 
@@ -247,36 +269,44 @@ def load_text(text: dict[str, object]) -> None:
     """Load a mission file as `run` does; raises what is wrong with it."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "mission.yaml")
-        file.write_text(yaml.safe_dump(text, sort_keys=False), encoding="utf-8")
+        file.write_text(yaml.safe_dump(text, sort_keys=False), "utf-8")
         load_mission(file)
 
 
 def run_page(page: Path, folder: Path, every: bool = False) -> list[tuple[Block, Difference]]:
     """Run all blocks of a page in a folder; an error of the page raises with its name."""
-    found: list[tuple[Block, Difference]] = []
+    differences: list[tuple[Block, Difference]] = []
     whole = ""
     with contextlib.chdir(folder):
         for block in blocks(page):
             if block.slow and not every:
                 continue
-            differences: list[Difference] = []
+            of_block: list[Difference] = []
             try:
-                if block.title:
-                    Path(block.title).parent.mkdir(parents=True, exist_ok=True)
-                    Path(block.title).write_text(block.body, encoding="utf-8")
-                if block.kind == "console":
-                    run_console(block, differences)
-                elif block.kind == "sh":
-                    run_sh(block)
-                elif block.kind == "yaml":
-                    whole = load_yaml(block, whole)
-                elif block.kind == "python" and not block.title and ">>>" not in block.body:
-                    with contextlib.redirect_stdout(io.StringIO()):
-                        exec(compile(block.body, str(page), "exec"), {"__name__": "__main__"})
+                whole = run_block(block, page, whole, of_block)
             except BaseException as error:
                 raise RuntimeError(f"{page}, in\n{block.body}\n{error}") from error
-            found += [(block, difference) for difference in differences]
-    return found
+            differences += [(block, difference) for difference in of_block]
+    return differences
+
+
+def run_block(block: Block, page: Path, whole: str, differences: list[Difference]) -> str:
+    """Run one block; returns the page's mission file."""
+    if block.title:
+        file = Path(block.title)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(block.body, "utf-8")
+    if block.kind == "console":
+        run_console(block, differences)
+    elif block.kind == "sh":
+        run_sh(block)
+    elif block.kind == "yaml":
+        return load_yaml(block, whole)
+    elif block.kind == "python" and not block.title and ">>>" not in block.body:
+        program = compile(block.body, str(page), "exec")
+        with contextlib.redirect_stdout(io.StringIO()):
+            exec(program, {"__name__": "__main__"})
+    return whole
 
 
 def make_given(folder: Path, names: list[str]) -> None:
@@ -313,29 +343,45 @@ def run_alone(page: Path, ready: Path, folder: Path, every: bool) -> list[tuple[
 def copy_given(ready: Path, folder: Path, names: list[str]) -> None:
     """A page's own copy of what it starts with."""
     make_given(ready, names)
-    if "first" in names:
+    folders = {name.split("/")[0] for name in names}
+    if "first" in folders:
         shutil.copytree(ready / "first", folder, dirs_exist_ok=True)
-        names = [name for name in names if name != "first"]
-    tops = {name.split("/")[0] for name in names}
+        folders.remove("first")
+    if "results" in folders:
+        folders |= {"configs", "sample_logs"}
     folder.mkdir(parents=True, exist_ok=True)
-    for name in tops | ({"configs", "sample_logs"} if "results" in names else set()):
-        without = () if f"{name}/results" in names else ("results",)
-        shutil.copytree(ready / name, folder / name, ignore=shutil.ignore_patterns(*without))
+    for name in folders:
+        ignored = shutil.ignore_patterns("results")
+        if f"{name}/results" in names:
+            ignored = None
+        shutil.copytree(ready / name, folder / name, ignore=ignored)
 
 
 def written(text: str, differences: list[tuple[Block, Difference]]) -> str:
     """A page with what is printed now; what ends with `...` keeps its number of lines."""
-    for block in sorted({block for block, _ in differences}, key=lambda b: -b.start):
+    by_block: dict[Block, list[Difference]] = {}
+    for block, difference in differences:
+        by_block.setdefault(block, []).append(difference)
+    for block, of_block in reversed(by_block.items()):  # from the end: places before stay
         body = block.body
-        for difference in reversed([d for b, d in differences if b == block]):
-            lines = [line.rstrip() for line in difference.printed.rstrip().splitlines()]
+        for difference in reversed(of_block):
+            lines = lines_of(difference.printed)
             shown = difference.shown.rstrip().splitlines()
             if shown and shown[-1].strip() == "...":
                 lines = [*lines[: len(shown) - 1], "..."]
-            new = "".join(f"{line}\n" for line in lines)
-            body = body[: difference.start] + new + body[difference.end :]
-        body = "".join(f"{block.indent}{line}\n" if line else "\n" for line in body.splitlines())
-        text = text[: block.start] + body + text[block.end :]
+            printed = "".join(f"{line}\n" for line in lines)
+            body = body[: difference.start] + printed + body[difference.end :]
+        text = text[: block.start] + indented(body, block.indent) + text[block.end :]
+    return text
+
+
+def indented(body: str, indent: str) -> str:
+    """Lines of a block as the page has them."""
+    text = ""
+    for line in body.splitlines():
+        if line:
+            text += indent
+        text += f"{line}\n"
     return text
 
 
@@ -365,8 +411,8 @@ def main() -> int:
             print(f"{page}\n--- shown\n{difference.shown}--- printed\n{difference.printed}")
         bad += len(differences)
         if write and differences:
-            text = page.read_text(encoding="utf-8")
-            page.write_text(written(text, differences), encoding="utf-8")
+            text = page.read_text("utf-8")
+            page.write_text(written(text, differences), "utf-8")
     shutil.rmtree(ready)
     return int(bad > 0)
 

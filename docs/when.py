@@ -6,15 +6,12 @@ Blocks of simulated images in the air of nine real soundings, rays by the simula
 by pycolmap: `tests/golden/adjusted_block.py`. Takes one minute.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 
 from tests.golden.adjusted_block import (
     US1976,
-    Adjusted,
     Block,
     RealAir,
     adjust,
@@ -48,14 +45,16 @@ CASES = {
 }
 """What is adjusted, and what the document calls it."""
 
+REMAINING = {
+    "without": "uncorrected [m]",
+    "standard": "left by US 1976 [%]",
+    "adjusted": "left by the adjusted air [%]",
+}
+HEIGHTS_KM = (3, 6, 9)
 AIRS = {
-    f"{air} {height}": f"{what}, {height} km"
-    for height in (3, 6, 9)
-    for air, what in (
-        ("without", "uncorrected [m]"),
-        ("standard", "left by US 1976 [%]"),
-        ("adjusted", "left by the adjusted air [%]"),
-    )
+    f"{name} {height_km}": f"{text}, {height_km} km"
+    for height_km in HEIGHTS_KM
+    for name, text in REMAINING.items()
 }
 """Height error of nadir blocks with orientations fixed, and what two airs leave of it."""
 
@@ -100,7 +99,21 @@ In the last two rows the calibration was estimated from uncorrected images (cont
 contains refraction. Corrected images then have it twice.
 """
 
+CONCLUSIONS = """
+nadir, control, GNSS and self-calibration|nadir both calibrated|absorbed: not needed
+nadir, control alone|nadir control|mostly absorbed
+nadir, orientations fixed|nadir held|a constant: one number corrects it, or this program
+nadir, GNSS|nadir gnss|needed
+five heads (45°), GNSS|heads gnss|needed
+five heads, GNSS and self-calibration|heads gnss calibrated|needed: self-calibration makes it worse
+five heads, control, GNSS and self-calibration|heads both calibrated|needed
+nadir, calibrated in flight at 3 km, used at 6 km|carried|calibrate on corrected images
+nadir, calibrated in flight at 6 km|calibrated here|never correct on top of it
+"""
+"""Blocks of the summary, their cases, and what to do."""
+
 Numbers = dict[str, float]
+Table = dict[str, list[float]]
 
 
 def column(air: RealAir, seed: int) -> tuple[Numbers, Numbers, Numbers]:
@@ -109,113 +122,96 @@ def column(air: RealAir, seed: int) -> tuple[Numbers, Numbers, Numbers]:
     Root mean squares over the points that are no control, 6 km above ground.
     """
     rng = np.random.default_rng(seed)
-    nadir = {h: fly_block(air, 1000.0 * h, seed, heads()[:1]) for h in (3, 6, 9)}
-    adjusted = {h: air.adjusted_profile(1000.0 * h, rng) for h in nadir}
+    nadir = {h: fly_block(air, 1000.0 * h, seed, heads()[:1]) for h in HEIGHTS_KM}
+    adjusted = {h: air.adjusted_profile(1000.0 * h, rng) for h in HEIGHTS_KM}
     airs: Numbers = {}
     for h, block in nadir.items():
-        z = {
-            "without": adjust(block, block.measured).z,
-            "standard": adjust(block, correct(block, US1976)).z,
-            "adjusted": adjust(block, correct(block, adjusted[h])).z,
-        }
-        airs[f"without {h}"] = z["without"]
-        for name in ("standard", "adjusted"):
-            airs[f"{name} {h}"] = 100.0 * z[name] / z["without"]
+        uncorrected = adjust(block, block.measured).z
+        left_by_standard = adjust(block, correct(block, US1976)).z
+        left_by_adjusted = adjust(block, correct(block, adjusted[h])).z
+        airs[f"without {h}"] = uncorrected
+        airs[f"standard {h}"] = 100.0 * left_by_standard / uncorrected
+        airs[f"adjusted {h}"] = 100.0 * left_by_adjusted / uncorrected
 
+    block = nadir[6]
     five = fly_block(air, HEIGHT, seed, heads(), lines=7, shots=11, most=16)
-    before = heights(nadir[6], five, nadir[6].measured, five.measured)
-    after = heights(nadir[6], five, correct(nadir[6], adjusted[6]), correct(five, adjusted[6]))
+    corrected = correct(block, adjusted[6])
+    before = heights(block, five, block.measured, five.measured)
+    after = heights(block, five, corrected, correct(five, adjusted[6]))
     # The calibrations were estimated on uncorrected images, whatever is done with the images after.
-    low = nadir[3]
-    for name, block in (("carried", low), ("calibrated here", nadir[6])):
-        interior = adjust(block, block.measured, control=9, gnss=True, calibrate=True).interior
-        before[name] = adjust(nadir[6], nadir[6].measured, interior=interior).z
-        after[name] = adjust(nadir[6], correct(nadir[6], adjusted[6]), interior=interior).z
+    for name, calibrated in (("carried", nadir[3]), ("calibrated here", block)):
+        calibration = adjust(
+            calibrated,
+            calibrated.measured,
+            control=9,
+            gnss=True,
+            calibrate=True,
+        )
+        interior = calibration.interior
+        before[name] = adjust(block, block.measured, interior=interior).z
+        after[name] = adjust(block, corrected, interior=interior).z
     return before, after, airs
 
 
 def heights(nadir: Block, five: Block, nadir_px: np.ndarray, five_px: np.ndarray) -> Numbers:
     """Height errors [m] of the cases in which images and their calibration belong together."""
+    fixed = adjust(nadir, nadir_px)
+    less_mean = float(np.std(fixed.error[:, 2]))
+    return {
+        "nadir held": fixed.z,
+        "nadir less mean": less_mean,
+        **free_heights("nadir", nadir, nadir_px),
+        "heads held": adjust(five, five_px).z,
+        **free_heights("heads", five, five_px),
+    }
+
+
+def free_heights(name: str, block: Block, pixels: np.ndarray) -> Numbers:
+    """Height errors [m] of a block whose orientations are adjusted."""
     z: Numbers = {}
-    for name, block, pixels in (("nadir", nadir, nadir_px), ("heads", five, five_px)):
-        held: Adjusted = adjust(block, pixels)
-        z[f"{name} held"] = held.z
-        if name == "nadir":
-            z["nadir less mean"] = float(np.std(held.error[:, 2]))
-        for more, what in (("control", (9, False)), ("gnss", (0, True)), ("both", (9, True))):
-            control, gnss = what
-            for calibrate in (False, True):
-                done = adjust(block, pixels, control=control, gnss=gnss, calibrate=calibrate)
-                z[f"{name} {more}{' calibrated' * calibrate}"] = done.z
+    for kind, control, gnss in (("control", 9, False), ("gnss", 0, True), ("both", 9, True)):
+        case = f"{name} {kind}"
+        z[case] = adjust(block, pixels, control=control, gnss=gnss).z
+        calibrated = adjust(block, pixels, control=control, gnss=gnss, calibrate=True)
+        z[f"{case} calibrated"] = calibrated.z
     return z
 
 
 def spread(values: list[float], digits: int = 3) -> str:
     """Median and range."""
-    low, middle, high = (f"{f(values):.{digits}f}" for f in (min, np.median, max))
+    low = f"{min(values):.{digits}f}"
+    middle = f"{np.median(values):.{digits}f}"
+    high = f"{max(values):.{digits}f}"
     return f"{middle} ({low}-{high})"
 
 
-def summary(
-    before: dict[str, list[float]], after: dict[str, list[float]], airs: dict[str, list[float]]
-) -> str:
+def median(values: list[float]) -> str:
+    return f"{np.median(values):.3f}"
+
+
+def summary(before: Table, after: Table, airs: Table) -> str:
     """The lines that README.md shows too: medians over the airs."""
-    b, a = ({case: f"{np.median(v):.3f}" for case, v in z.items()} for z in (before, after))
-    left = {
-        name: [v for case, values in airs.items() if case.startswith(name) for v in values]
-        for name in ("standard", "adjusted")
-    }
-    rows = [
-        (
-            "nadir, control, GNSS and self-calibration",
-            b["nadir both calibrated"],
-            a["nadir both calibrated"],
-            "absorbed: not needed",
-        ),
-        ("nadir, control alone", b["nadir control"], a["nadir control"], "mostly absorbed"),
-        (
-            "nadir, orientations fixed",
-            f"{b['nadir held']} ± {b['nadir less mean']}",
-            a["nadir held"],
-            "a constant: one number corrects it, or this program",
-        ),
-        ("nadir, GNSS", b["nadir gnss"], a["nadir gnss"], "needed"),
-        ("five heads (45°), GNSS", b["heads gnss"], a["heads gnss"], "needed"),
-        (
-            "five heads, GNSS and self-calibration",
-            b["heads gnss calibrated"],
-            a["heads gnss calibrated"],
-            "needed: self-calibration makes it worse",
-        ),
-        (
-            "five heads, control, GNSS and self-calibration",
-            b["heads both calibrated"],
-            a["heads both calibrated"],
-            "needed",
-        ),
-        (
-            "nadir, calibrated in flight at 3 km, used at 6 km",
-            b["carried"],
-            a["carried"],
-            "calibrate on corrected images",
-        ),
-        (
-            "nadir, calibrated in flight at 6 km",
-            b["calibrated here"],
-            a["calibrated here"],
-            "never correct on top of it",
-        ),
+    lines = [
+        "| block at 6 km | height error [m] | corrected [m] | conclusion |",
+        "| :-- | --: | --: | :-- |",
     ]
-    return "\n".join(
-        [
-            "| block at 6 km | height error [m] | corrected [m] | conclusion |",
-            "| :-- | --: | --: | :-- |",
-            *(f"| {' | '.join(row)} |" for row in rows),
-            "",
-            f"US 1976 leaves {percent(left['standard'])} % of the error at 3 to 9 km,"
-            f" the air that the aircraft measured {percent(left['adjusted'])} %.",
-        ]
-    )
+    for row in CONCLUSIONS.strip().splitlines():
+        block, case, conclusion = row.split("|")
+        uncorrected = median(before[case])
+        if case == "nadir held":
+            uncorrected += f" ± {median(before['nadir less mean'])}"
+        lines.append(f"| {block} | {uncorrected} | {median(after[case])} | {conclusion} |")
+    standard: list[float] = []
+    adjusted: list[float] = []
+    for h in HEIGHTS_KM:
+        standard += airs[f"standard {h}"]
+        adjusted += airs[f"adjusted {h}"]
+    lines += [
+        "",
+        f"US 1976 leaves {percent(standard)} % of the error at 3 to 9 km,"
+        f" the air that the aircraft measured {percent(adjusted)} %.",
+    ]
+    return "\n".join(lines)
 
 
 def percent(values: list[float]) -> str:
@@ -223,15 +219,30 @@ def percent(values: list[float]) -> str:
     return f"{min(values):.2g} to {max(values):.2g}"
 
 
+def table_of(title: str, cases: dict[str, str], table: Table, digits: int) -> list[str]:
+    """A section with the numbers of each air."""
+    count = len(next(iter(table.values())))
+    numbers = [str(number) for number in range(1, count + 1)]
+    lines = [
+        f"### {title}",
+        "",
+        f"|  | {' | '.join(numbers)} |",
+        "| :-- |" + " --: |" * count,
+    ]
+    for case, text in cases.items():
+        cells = [f"{value:.{digits}f}" for value in table[case]]
+        lines.append(f"| {text} | {' | '.join(cells)} |")
+    return [*lines, ""]
+
+
+def table_over_airs(columns: list[Numbers]) -> Table:
+    """The numbers of each case in all airs."""
+    return {case: [column[case] for column in columns] for case in columns[0]}
+
+
 def document(names: list[str], columns: list[tuple[Numbers, Numbers, Numbers]]) -> str:
     """docs/when.md of the columns of all airs."""
-    before, after, airs = (
-        {case: [c[part][case] for c in columns] for case in columns[0][part]} for part in range(3)
-    )
-    cells = {
-        case: f"| {text} | {spread(before[case])} | {spread(after[case], 4)} |"
-        for case, text in CASES.items()
-    }
+    before, after, airs = map(table_over_airs, zip(*columns, strict=True))
     lines = [
         INTRODUCTION,
         "## Main results",
@@ -242,36 +253,22 @@ def document(names: list[str], columns: list[tuple[Numbers, Numbers, Numbers]]) 
         "",
         "| 6 km above ground | uncorrected [m] | corrected [m] |",
         "| :-- | --: | --: |",
-        *cells.values(),
-        TWICE,
-        "## Each atmosphere",
-        "",
-        *(f"{number}. {name}" for number, name in enumerate(names, start=1)),
-        "",
     ]
-    for title, cases, table, digits in (
-        ("Uncorrected [m]", CASES, before, 3),
-        ("Corrected [m]", CASES, after, 4),
-        ("Errors that remain, nadir, orientations fixed", AIRS, airs, 3),
-    ):
-        lines += [
-            f"### {title}",
-            "",
-            f"|  | {' | '.join(str(i + 1) for i in range(len(names)))} |",
-            "| :-- |" + " --: |" * len(names),
-        ]
-        lines += [
-            f"| {text} | " + " | ".join(f"{v:.{digits}f}" for v in table[case]) + " |"
-            for case, text in cases.items()
-        ]
-        lines.append("")
+    for case, text in CASES.items():
+        lines.append(f"| {text} | {spread(before[case])} | {spread(after[case], 4)} |")
+    lines += [TWICE, "## Each atmosphere", ""]
+    lines += [f"{number}. {name}" for number, name in enumerate(names, start=1)]
+    lines.append("")
+    lines += table_of("Uncorrected [m]", CASES, before, 3)
+    lines += table_of("Corrected [m]", CASES, after, 4)
+    lines += table_of("Errors that remain, nadir, orientations fixed", AIRS, airs, 3)
     return "\n".join(lines)
 
 
 def main() -> None:
     airs = real_airs()
     columns = [column(air, seed) for seed, air in enumerate(airs, start=1)]
-    DOCUMENT.write_text(document([air.name[2:] for air in airs], columns), encoding="utf-8")
+    DOCUMENT.write_text(document([air.name[2:] for air in airs], columns), "utf-8")
 
 
 if __name__ == "__main__":

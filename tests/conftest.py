@@ -1,7 +1,5 @@
 """A small simulated mission that tests may copy, spoil and run through the command line."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools
@@ -103,7 +101,7 @@ class MissionFolder:
         return self.folder / self.config["output"]["path"]
 
     def save(self) -> Path:
-        self.file.write_text(yaml.safe_dump(self.config, sort_keys=False), encoding="utf-8")
+        self.file.write_text(yaml.safe_dump(self.config, sort_keys=False), "utf-8")
         return self.file
 
     def run(self, *options: str) -> Ended:
@@ -111,7 +109,7 @@ class MissionFolder:
 
     def manifest(self) -> dict[str, Any]:
         """The manifest of the last run, as JSON."""
-        return json.loads((self.output / "manifest.json").read_text(encoding="utf-8"))
+        return json.loads((self.output / "manifest.json").read_text("utf-8"))
 
     def run_to_manifest(self, exit_code: int = 0) -> dict[str, Any]:
         """Run the mission, which must end with this code; its manifest as JSON."""
@@ -275,7 +273,7 @@ def mission_factory(flown: Simulated, computed_once: None) -> Callable[..., Miss
         for source in (flown.logs[kind], flown.observations):
             copy = shutil.copy(source, folder)
             os.utime(copy, (FLOWN_S, FLOWN_S))
-        config = yaml.safe_load(flown.missions[kind].read_text(encoding="utf-8"))
+        config = yaml.safe_load(flown.missions[kind].read_text("utf-8"))
         config["output"]["path"] = "results"
         return MissionFolder(folder, kind, config)
 
@@ -306,7 +304,7 @@ def without_plots() -> Iterator[None]:
     from unbend.batch import runs
 
     def write_report(path: Path, manifest: Manifest, *_: object) -> None:
-        path.write_text(manifest.run.mission, encoding="utf-8")
+        path.write_text(manifest.run.mission, "utf-8")
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runs, "write_report", write_report)
@@ -343,100 +341,102 @@ NEEDS |= dict.fromkeys(("place", "s3_place", "seaweed", "moto", "azurite"), pyte
 """Fixtures, and the marker of each test that uses one."""
 
 
-SLOW = (
-    "atmosphere/estimate/",
-    "atmosphere/test_estimate_montecarlo.py",
-    "atmosphere/test_model_montecarlo.py",
-    "block/test_assignment.py::test_constant_intervals_are_refused",
-    "block/test_assignment.py::test_drawn_flights_are_right_or_refused",
-    "block/test_diagnosis.py",
-    "block/test_simulated_mission.py",
-    "faults/",
-    "flight/test_gimbal.py::test_a_mission",
-    "flight/test_injected_faults.py",
-    "golden/",
-    "refraction/test_chord.py::test_the_angle_at_that_height_gives_the_distance_back",
-    "refraction/test_compile_cache.py",
-    "refraction/test_forward.py",
-    "refraction/test_ray.py::test_a_wiggly_profile_against_an_independent_ode",
-    "refraction/test_ray.py::test_targets_above_against_thirty_digits",
-    "refraction/test_steep.py",
-    "refraction/test_terrain.py",
-    "refraction/test_window_sigma.py",
-)
+_SLOW = """
+atmosphere/estimate/
+atmosphere/test_estimate_montecarlo.py
+atmosphere/test_model_montecarlo.py
+block/test_assignment.py::test_constant_intervals_are_refused
+block/test_assignment.py::test_drawn_flights_are_right_or_refused
+block/test_diagnosis.py
+block/test_simulated_mission.py
+faults/
+flight/test_gimbal.py::test_a_mission
+flight/test_injected_faults.py
+golden/
+refraction/test_chord.py::test_the_angle_at_that_height_gives_the_distance_back
+refraction/test_compile_cache.py
+refraction/test_forward.py
+refraction/test_ray.py::test_a_wiggly_profile_against_an_independent_ode
+refraction/test_ray.py::test_targets_above_against_thirty_digits
+refraction/test_steep.py
+refraction/test_terrain.py
+refraction/test_window_sigma.py
+"""
+SLOW = tuple(_SLOW.split())
 """Folders, files and tests that take seconds of a processor, by the beginning of their names."""
 
-DRAWN = (
-    "atmosphere/estimate/",
-    "atmosphere/test_estimate_montecarlo.py",
-    "atmosphere/test_model_montecarlo.py",
-    "batch/campaigns/",
-    "batch/object_store/test_missions.py",
-    "batch/object_store/test_silent_store.py",
-    "batch/test_dask_executor.py::test_a_scheduler_that_is_killed",
-    "batch/test_dask_executor.py::test_a_worker_that_is_stopped_costs_no_mission",
-    "batch/test_dask_executor.py::test_the_only_worker_that_is_stopped_is_named",
-    "batch/test_dask_executor.py::test_workers_that_are_killed_cost_no_mission",
-    "batch/test_processes.py",
-    "batch/test_rehearsal.py::test_check_says_what_run_says",
-    "batch/test_same_bytes.py",
-    "batch/test_soak.py",
-    "block/test_assignment.py",
-    "block/test_diagnosis.py",
-    "cli/test_interrupts.py",
-    "cli/test_terminal.py",
-    "config/test_mission_file.py",
-    "contract/test_documentation.py::test_what_a_page_shows",
-    "contract/test_imports.py::test_importing_warns_of_nothing",
-    "contract/test_planted.py::test_a_seed_draws_bugs_that_can_be_planted",
-    "contract/test_notebooks.py::test_a_notebook_prints_what_it_shows",
-    "faults/test_budget.py",
-    "faults/test_extreme_inputs.py",
-    "faults/test_mcap.py::test_bombs_are_skipped_at_once",
-    "flight/test_gimbal.py::test_a_mission",
-    "flight/test_injected_faults.py",
-    "golden/test_adjustment.py",
-    "golden/test_block_heights.py",
-    "golden/test_calibration_export.py",
-    "golden/test_costs.py",
-    "golden/test_gallery.py",
-    "golden/test_memory.py",
-    "golden/test_portability.py",
-    "golden/test_sample_mission.py::test_kernel_against_the_ode_on_the_true_profile",
-    "golden/test_scale_parameter.py",
-    "golden/test_wheel.py",
-    "golden/test_when.py",
-    "ingest/dataflash/test_equal.py",
-    "ingest/dataflash/test_text.py::test_every_cell_is_that_of_the_library",
-    "ingest/test_evidence.py",
-    "ingest/test_memory.py",
-    "ingest/test_other_systems.py",
-    "ingest/tlog/test_equal.py",
-    "refraction/test_air_sigma.py",
-    "refraction/test_compile_cache.py",
-    "refraction/test_forward.py",
-    "refraction/test_order_of_effects.py",
-    "refraction/test_ray.py::test_a_wiggly_profile_against_an_independent_ode",
-    "refraction/test_ray.py::test_targets_above",
-    "refraction/test_steep.py",
-    "refraction/test_terrain.py::test_rays_land_where_an_integrated_ray_does",
-    "report/test_browser.py::test_nothing_is_wider_than_the_screen",
-    "report/test_explanations.py::test_the_commands",
-    "simulate/test_mission.py",
-    "stages/test_air_of_mission.py::test_a_sounding_of_another_time_or_place",
-    "stages/test_angle_roads.py",
-    "stages/test_blocks.py::test_a_block_as_a_mission_without_a_log",
-    "stages/test_elevation_model.py",
-    "stages/test_image_events.py",
-    "stages/test_missions.py",
-    "stages/test_mistakes.py",
-    "stages/test_oriented_stations.py",
-    "stages/test_plausibility.py::test_a_mistake_is_found_with_its_key",
-    "stages/test_uncertainty.py",
-    "tables/exports/test_block_memory.py",
-    "tables/test_model_fields.py",
-    "tables/test_weather_files.py::test_pyproj_and_eccodes_live_together",
-)
+_DRAWN = """
+atmosphere/estimate/
+atmosphere/test_estimate_montecarlo.py
+atmosphere/test_model_montecarlo.py
+batch/campaigns/
+batch/object_store/test_missions.py
+batch/object_store/test_silent_store.py
+batch/test_dask_executor.py::test_a_scheduler_that_is_killed
+batch/test_dask_executor.py::test_a_worker_that_is_stopped_costs_no_mission
+batch/test_dask_executor.py::test_the_only_worker_that_is_stopped_is_named
+batch/test_dask_executor.py::test_workers_that_are_killed_cost_no_mission
+batch/test_processes.py
+batch/test_rehearsal.py::test_check_says_what_run_says
+batch/test_same_bytes.py
+batch/test_soak.py
+block/test_assignment.py
+block/test_diagnosis.py
+cli/test_interrupts.py
+cli/test_terminal.py
+config/test_mission_file.py
+contract/test_documentation.py::test_what_a_page_shows
+contract/test_imports.py::test_importing_warns_of_nothing
+contract/test_planted.py::test_a_seed_draws_bugs_that_can_be_planted
+contract/test_notebooks.py::test_a_notebook_prints_what_it_shows
+faults/test_budget.py
+faults/test_extreme_inputs.py
+faults/test_mcap.py::test_bombs_are_skipped_at_once
+flight/test_gimbal.py::test_a_mission
+flight/test_injected_faults.py
+golden/test_adjustment.py
+golden/test_block_heights.py
+golden/test_calibration_export.py
+golden/test_costs.py
+golden/test_gallery.py
+golden/test_memory.py
+golden/test_portability.py
+golden/test_sample_mission.py::test_kernel_against_the_ode_on_the_true_profile
+golden/test_scale_parameter.py
+golden/test_wheel.py
+golden/test_when.py
+ingest/dataflash/test_equal.py
+ingest/dataflash/test_text.py::test_every_cell_is_that_of_the_library
+ingest/test_evidence.py
+ingest/test_memory.py
+ingest/test_other_systems.py
+ingest/tlog/test_equal.py
+refraction/test_air_sigma.py
+refraction/test_compile_cache.py
+refraction/test_forward.py
+refraction/test_order_of_effects.py
+refraction/test_ray.py::test_a_wiggly_profile_against_an_independent_ode
+refraction/test_ray.py::test_targets_above
+refraction/test_steep.py
+refraction/test_terrain.py::test_rays_land_where_an_integrated_ray_does
+report/test_browser.py::test_nothing_is_wider_than_the_screen
+report/test_explanations.py::test_the_commands
+simulate/test_mission.py
+stages/test_air_of_mission.py::test_a_sounding_of_another_time_or_place
+stages/test_angle_roads.py
+stages/test_blocks.py::test_a_block_as_a_mission_without_a_log
+stages/test_elevation_model.py
+stages/test_image_events.py
+stages/test_missions.py
+stages/test_mistakes.py
+stages/test_oriented_stations.py
+stages/test_plausibility.py::test_a_mistake_is_found_with_its_key
+stages/test_uncertainty.py
+tables/exports/test_block_memory.py
+tables/test_model_fields.py
+tables/test_weather_files.py::test_pyproj_and_eccodes_live_together
+"""
+DRAWN = tuple(_DRAWN.split())
 """Tests that take half of the time of all and repeat a thought in other cases, by the beginning of
 their names. With UNBEND_CASES=drawn, as in `make test`, one in `DRAWN_OF` runs each day."""
 

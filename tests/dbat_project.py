@@ -3,8 +3,6 @@
 Five images of two strips over flat ground, in the files and the words of its own examples.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,8 +101,8 @@ def write_project(folder: Path) -> Written:
     points = dict(zip(names, places, strict=True))
     write_tables(folder, control, points, marks)
     report = report_of(angles_deg, centres, {name: points[name] for name in control})
-    (folder / "report.txt").write_text(report, encoding="utf-8")
-    (folder / "sxb.xml").write_text(SCRIPT, encoding="utf-8")
+    (folder / "report.txt").write_text(report, "utf-8")
+    (folder / "sxb.xml").write_text(SCRIPT, "utf-8")
     return Written(points, marks)
 
 
@@ -153,7 +151,7 @@ def write_tables(
 
 
 def write_lines(path: Path, head: str, lines: list[str]) -> None:
-    path.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+    path.write_text("\n".join([head, *lines]) + "\n", "utf-8")
 
 
 def report_of(angles_deg: np.ndarray, centres: np.ndarray, control: dict[str, np.ndarray]) -> str:

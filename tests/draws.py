@@ -4,8 +4,6 @@ A new one each day, so that in time all is tried that one seed would leave out; 
 another. The first line of a run prints it, and so does the report of a failure.
 """
 
-from __future__ import annotations
-
 import datetime
 import os
 

@@ -1,7 +1,5 @@
 """What the tests of several rooms need: channels of a log, refusals, messages by their code."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
@@ -14,9 +12,15 @@ from unbend.flight.channels import Channel, Source
 from unbend.messages import Message
 
 NS_PER_S = 10**9
+Refusal = pytest.ExceptionInfo[UnbendError]
 
 
-def channel(name: str, seconds: np.ndarray, *roles: str, **columns: object) -> Channel:
+def channel(
+    name: str,
+    seconds: np.ndarray,
+    *roles: str,
+    **columns: object,
+) -> Channel:
     """A channel sampled at these seconds, of a message with its name; scalars hold throughout.
 
     >>> channel("BARO[0]", np.arange(3.0), "pressure", pressure_pa=9e4)["pressure_pa"]
@@ -24,17 +28,16 @@ def channel(name: str, seconds: np.ndarray, *roles: str, **columns: object) -> C
     """
     seconds = np.asarray(seconds, float)
     time_ns = np.round(seconds * NS_PER_S).astype(np.int64)
-    arrays = {
-        key: np.broadcast_to(np.asarray(values, float), seconds.shape).copy()
-        for key, values in columns.items()
-    }
-    return Channel(name, time_ns, arrays, Source(name.partition("[")[0]), roles=roles)
+    arrays = {}
+    for key, values in columns.items():
+        arrays[key] = np.empty(seconds.shape)
+        arrays[key][:] = values
+    source = Source(name.partition("[")[0])
+    return Channel(name, time_ns, arrays, source, roles=roles)
 
 
 @contextlib.contextmanager
-def refused(
-    code: str, kind: type[UnbendError] = UnbendError
-) -> Iterator[pytest.ExceptionInfo[UnbendError]]:
+def refused(code: str, kind: type[UnbendError] = UnbendError) -> Iterator[Refusal]:
     """A block of a test that must end with the refusal of this code, which says what to do.
 
     Where a kind is given, the refusal is of just this class.
@@ -43,7 +46,8 @@ def refused(
         yield caught
     error = caught.value
     if kind is not UnbendError:
-        assert type(error) is kind, f"{code} is a {type(error).__name__}"
+        kind_of_error = type(error)
+        assert kind_of_error is kind, f"{code} is a {kind_of_error.__name__}"
     assert error.code == code, str(error)
     assert error.remedy, f"{code} does not say what to do"
 
@@ -66,5 +70,6 @@ def codes_of(manifest: Mapping[str, Any]) -> set[str]:
 def entry_of(manifest: Mapping[str, Any], code: str) -> dict[str, Any]:
     """The only entry with this code in the ledger of a manifest that was read as JSON."""
     entries = [entry for entry in manifest["ledger"] if entry["code"] == code]
-    assert len(entries) == 1, f"{code} stands {len(entries)} times in {sorted(codes_of(manifest))}"
+    codes = sorted(codes_of(manifest))
+    assert len(entries) == 1, f"{code} is {len(entries)} times in {codes}"
     return entries[0]

@@ -1,7 +1,5 @@
 """The logs that are at hand: those of this repository, and real ones in ../shared/logs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[1]

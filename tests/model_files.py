@@ -3,9 +3,8 @@
 The heights of levels are integrated here, apart from the package: WGS84 normal gravity.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,44 +14,46 @@ import xarray
 from unbend.simulate.true_air import normal_gravity
 
 PRESSURE_LEVELS = (
-    1000,
-    975,
-    950,
-    925,
-    900,
-    875,
-    850,
-    825,
-    800,
-    775,
-    750,
-    700,
-    650,
-    600,
-    550,
-    500,
-    450,
-    400,
-    350,
-    300,
+    *range(1000, 750, -25),
+    *range(750, 250, -50),
     250,
     225,
     200,
     150,
 )
 
+COLUMNS = ("valid_time", "latitude", "longitude", "level")
+"""Dimensions of fields, column by column."""
+
 Column = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Heights above sea level [m], temperature [K], pressure and vapour pressure [Pa] of a column."""
 
 
+Air = Callable[[float, float, np.datetime64], Column]
+"""The column at a latitude and longitude [rad] at a time."""
+
+
 def geopotential(latitude: float, h: np.ndarray) -> np.ndarray:
     """[m2/s2] of heights [m]; Simpson is exact for gravity to second order."""
-    gravity = np.vectorize(lambda z: normal_gravity(latitude, z))
-    return h * (normal_gravity(latitude, 0.0) + 4.0 * gravity(0.5 * h) + gravity(h)) / 6.0
+    gravity = np.vectorize(partial(normal_gravity, latitude))
+    weighted = gravity(0.0) + 4.0 * gravity(0.5 * h) + gravity(h)
+    return h * weighted / 6.0
+
+
+def at_pressures(column: Column, pressure_pa: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Height [m], temperature [K] and specific humidity of a column at these pressures."""
+    h, kelvin, p, e = column
+    log_p = np.log(p[::-1])
+    levels = np.interp(np.log(pressure_pa), log_p, h[::-1])
+    log_e = np.interp(levels, h, np.log(e))
+    vapour_pa = np.exp(log_e)
+    dry_pa = pressure_pa - 0.378 * vapour_pa
+    humidity = 0.622 * vapour_pa / dry_pa
+    return levels, np.interp(levels, h, kelvin), humidity
 
 
 def dataset(
-    air: Callable[[float, float, np.datetime64], Column],
+    air: Air,
     latitude_deg: Sequence[float],
     longitude_deg: Sequence[float],
     times: Sequence[str],
@@ -60,37 +61,37 @@ def dataset(
 ) -> xarray.Dataset:
     """Fields on pressure levels, with the names of the climate data store since 2024."""
     stamps = np.array(times, "datetime64[ns]")
-    shape = (stamps.size, len(levels), len(latitude_deg), len(longitude_deg))
+    latitude = np.radians(latitude_deg)
+    longitude = np.radians(longitude_deg)
+    shape = (stamps.size, latitude.size, longitude.size, len(levels))
     t = np.empty(shape)
     q = np.empty(shape)
     z = np.empty(shape)
-    for i, when in enumerate(stamps):
-        for j, north in enumerate(latitude_deg):
-            for k, east in enumerate(longitude_deg):
-                h, kelvin, p, e = air(np.radians(north), np.radians(east), when)
-                at = np.interp(np.log(100.0 * np.array(levels)), np.log(p[::-1]), h[::-1])
-                kelvin = np.interp(at, h, kelvin)
-                e = np.exp(np.interp(at, h, np.log(e)))
-                t[i, :, j, k], z[i, :, j, k] = kelvin, geopotential(np.radians(north), at)
-                q[i, :, j, k] = 0.622 * e / (100.0 * np.array(levels) - 0.378 * e)
-    on = ("valid_time", "pressure_level", "latitude", "longitude")
-    return xarray.Dataset(
-        {
-            "t": (on, t, {"units": "K"}),
-            "q": (on, q, {"units": "kg kg**-1"}),
-            "z": (on, z, {"units": "m**2 s**-2"}),
-        },
-        {
-            "valid_time": stamps,
-            "pressure_level": (on[1], np.array(levels, float), {"units": "hPa"}),
-            "latitude": list(latitude_deg),
-            "longitude": list(longitude_deg),
-        },
-    )
+    pressure_pa = 100.0 * np.array(levels)
+    for place in np.ndindex(shape[:3]):
+        time, row, column = place
+        profile = air(latitude[row], longitude[column], stamps[time])
+        h, kelvin, humidity = at_pressures(profile, pressure_pa)
+        t[place] = kelvin
+        q[place] = humidity
+        z[place] = geopotential(latitude[row], h)
+    fields = {
+        "t": (COLUMNS, t, {"units": "K"}),
+        "q": (COLUMNS, q, {"units": "kg kg**-1"}),
+        "z": (COLUMNS, z, {"units": "m**2 s**-2"}),
+    }
+    hectopascals = np.array(levels, float)
+    coordinates = {
+        "valid_time": stamps,
+        "pressure_level": ("level", hectopascals, {"units": "hPa"}),
+        "latitude": list(latitude_deg),
+        "longitude": list(longitude_deg),
+    }
+    return level_by_level(fields, coordinates, "pressure_level")
 
 
 def on_model_levels(
-    air: Callable[[float, float, np.datetime64], Column],
+    air: Air,
     latitude_deg: Sequence[float],
     longitude_deg: Sequence[float],
     times: Sequence[str],
@@ -101,32 +102,43 @@ def on_model_levels(
 
     levels = np.arange(60, 138)
     stamps = np.array(times, "datetime64[ns]")
-    shape = (stamps.size, levels.size, len(latitude_deg), len(longitude_deg))
-    t = np.empty(shape)
-    q = np.empty(shape)
-    log_p = np.empty(shape)[:, 0]
-    z = np.empty(shape)[:, 0]
-    for i, j, k in np.ndindex(shape[0], *shape[2:]):
-        place = np.radians(latitude_deg[j]), np.radians(longitude_deg[k])
-        h, kelvin, p, e = air(*place, stamps[i])
-        log_p[i, j, k] = np.interp(ground_m, h, np.log(p))
-        z[i, j, k] = geopotential(place[0], np.array(ground_m))
-        half = half_levels(np.exp(log_p[i, j, k]))[0, 59:]
+    latitude = np.radians(latitude_deg)
+    longitude = np.radians(longitude_deg)
+    shape = (stamps.size, latitude.size, longitude.size)
+    t = np.empty((*shape, levels.size))
+    q = np.empty((*shape, levels.size))
+    log_p = np.empty(shape)
+    z = np.empty(shape)
+    for place in np.ndindex(shape):
+        time, row, column = place
+        profile = air(latitude[row], longitude[column], stamps[time])
+        h, _, p, _ = profile
+        log_p[place] = np.interp(ground_m, h, np.log(p))
+        z[place] = geopotential(latitude[row], np.array(ground_m))
+        half = half_levels(np.exp(log_p[place]))[0, 59:]
         full = 0.5 * (half[1:] + half[:-1])
-        at = np.interp(np.log(full), np.log(p[::-1]), h[::-1])
-        e = np.exp(np.interp(at, h, np.log(e)))
-        t[i, :, j, k], q[i, :, j, k] = np.interp(at, h, kelvin), 0.622 * e / (full - 0.378 * e)
-    on = ("valid_time", "hybrid", "latitude", "longitude")
-    flat = (on[0], *on[2:])
-    return xarray.Dataset(
-        {"t": (on, t), "q": (on, q), "lnsp": (flat, log_p), "z": (flat, z)},
-        {
-            "valid_time": stamps,
-            "hybrid": levels.astype(float),
-            "latitude": list(latitude_deg),
-            "longitude": list(longitude_deg),
-        },
-    )
+        _, kelvin, humidity = at_pressures(profile, full)
+        t[place] = kelvin
+        q[place] = humidity
+    fields = {
+        "t": (COLUMNS, t),
+        "q": (COLUMNS, q),
+        "lnsp": (COLUMNS[:3], log_p),
+        "z": (COLUMNS[:3], z),
+    }
+    coordinates = {
+        "valid_time": stamps,
+        "hybrid": ("level", levels.astype(float)),
+        "latitude": list(latitude_deg),
+        "longitude": list(longitude_deg),
+    }
+    return level_by_level(fields, coordinates, "hybrid")
+
+
+def level_by_level(fields: dict, coordinates: dict, level: str) -> xarray.Dataset:
+    """Fields whose levels are their second dimension, and have a name."""
+    data = xarray.Dataset(fields, coordinates).swap_dims({"level": level})
+    return data.transpose("valid_time", level, "latitude", "longitude")
 
 
 def netcdf(path: Path, data: xarray.Dataset) -> Path:
@@ -140,43 +152,43 @@ def grib(path: Path, data: xarray.Dataset, lead_h: int = 0) -> Path:
     import eccodes
 
     kind = "isobaricInhPa"
-    on = "pressure_level"
+    level_name = "pressure_level"
     if "hybrid" in data.dims:
         kind = "hybrid"
-        on = "hybrid"
-    north = data.latitude.values
-    east = data.longitude.values
+        level_name = "hybrid"
+    north = data.latitude.values.tolist()
+    east = data.longitude.values.tolist()
     grid = {
-        "Ni": east.size,
-        "Nj": north.size,
-        "latitudeOfFirstGridPointInDegrees": float(north[0]),
-        "latitudeOfLastGridPointInDegrees": float(north[-1]),
-        "longitudeOfFirstGridPointInDegrees": float(east[0]) % 360.0,
-        "longitudeOfLastGridPointInDegrees": float(east[-1]) % 360.0,
-        "iDirectionIncrementInDegrees": float(east[1] - east[0]),
-        "jDirectionIncrementInDegrees": float(abs(north[1] - north[0])),
+        "Ni": len(east),
+        "Nj": len(north),
+        "latitudeOfFirstGridPointInDegrees": north[0],
+        "latitudeOfLastGridPointInDegrees": north[-1],
+        "longitudeOfFirstGridPointInDegrees": east[0] % 360.0,
+        "longitudeOfLastGridPointInDegrees": east[-1] % 360.0,
+        "iDirectionIncrementInDegrees": east[1] - east[0],
+        "jDirectionIncrementInDegrees": abs(north[1] - north[0]),
         "jScansPositively": int(north[1] > north[0]),
+        "typeOfLevel": kind,
+        "stepRange": lead_h,
+        "bitsPerValue": 24,
     }
     with path.open("wb") as file:
         for name, field in data.data_vars.items():
+            if level_name not in field.dims:
+                field = field.expand_dims({level_name: [1]})
             for when in data.valid_time.values:
-                of_time = field.sel(valid_time=when)
                 run = (when - np.timedelta64(lead_h, "h")).astype("datetime64[s]").item()
-                for level in data[on].values if on in field.dims else [1]:
+                keys = grid | {
+                    "shortName": str(name),
+                    "dataDate": int(f"{run:%Y%m%d}"),
+                    "dataTime": int(f"{run:%H%M}"),
+                }
+                for level in field[level_name].values:
+                    values = field.sel({"valid_time": when, level_name: level}).values
                     message = eccodes.codes_grib_new_from_samples("regular_ll_pl_grib2")
-                    for key, value in {
-                        **grid,
-                        "typeOfLevel": kind,
-                        "level": int(level),
-                        "shortName": str(name),
-                        "dataDate": int(f"{run:%Y%m%d}"),
-                        "dataTime": int(f"{run:%H%M}"),
-                        "stepRange": lead_h,
-                        "bitsPerValue": 24,
-                    }.items():
+                    for key, value in (keys | {"level": int(level)}).items():
                         eccodes.codes_set(message, key, value)
-                    values = of_time.sel({on: level}) if on in field.dims else of_time
-                    eccodes.codes_set_values(message, values.values.ravel())
+                    eccodes.codes_set_values(message, values.ravel())
                     eccodes.codes_write(message, file)
                     eccodes.codes_release(message)
     return path

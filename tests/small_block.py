@@ -24,7 +24,13 @@ HEIGHT = 4000
 FOCAL = 5000.0
 CX = 3011.5
 CY = 1992.25
-DISTORTION = {"k1": -0.021, "k2": 0.008, "k3": -0.001, "p1": 0.0004, "p2": -0.0003}
+K1 = -0.021
+K2 = 0.008
+K3 = -0.001
+P1 = 0.0004
+P2 = -0.0003
+OPENCV = (K1, K2, P1, P2, K3)
+Y_UP_Z_BACK = np.diag([1.0, -1.0, -1.0])  # of x right, y down, z forward
 
 
 def ecef(lat_deg, lon_deg, h, *, a: float = A, e2: float = E2) -> np.ndarray:
@@ -42,9 +48,13 @@ def enu_axes(lat_deg: float, lon_deg: float) -> np.ndarray:
     """(3, 3) rows east, north, up at a place, in earth-centred coordinates."""
     lat = np.radians(lat_deg)
     lon = np.radians(lon_deg)
-    east = [-np.sin(lon), np.cos(lon), 0.0]
-    north = [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)]
-    up = [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
+    sin_lat = np.sin(lat)
+    cos_lat = np.cos(lat)
+    sin_lon = np.sin(lon)
+    cos_lon = np.cos(lon)
+    east = [-sin_lon, cos_lon, 0.0]
+    north = [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat]
+    up = [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat]
     return np.array([east, north, up])
 
 
@@ -53,10 +63,9 @@ def pixels(cam: np.ndarray) -> np.ndarray:
     x = cam[:, 0] / cam[:, 2]
     y = cam[:, 1] / cam[:, 2]
     r2 = x * x + y * y
-    d = DISTORTION
-    radial = 1 + d["k1"] * r2 + d["k2"] * r2**2 + d["k3"] * r2**3
-    x_d = x * radial + 2 * d["p1"] * x * y + d["p2"] * (r2 + 2 * x * x)
-    y_d = y * radial + d["p1"] * (r2 + 2 * y * y) + 2 * d["p2"] * x * y
+    radial = 1 + K1 * r2 + K2 * r2**2 + K3 * r2**3
+    x_d = x * radial + 2 * P1 * x * y + P2 * (r2 + 2 * x * x)
+    y_d = y * radial + P1 * (r2 + 2 * y * y) + 2 * P2 * x * y
     return np.stack([CX + FOCAL * x_d, CY + FOCAL * y_d], axis=1)
 
 
@@ -81,57 +90,57 @@ class SmallBlock:
         draw = np.random.default_rng(5)
         line, place = np.divmod(np.arange(12), 4)
         degree_m = np.radians(1.0) * A
-        lat = lat0 + (line - 1.0) * spacing_m / degree_m
-        lon = lon0 + (place - 1.5) * spacing_m / (degree_m * np.cos(np.radians(lat0)))
+        degree_east_m = degree_m * np.cos(np.radians(lat0))
         h = 2000.0 + draw.normal(0.0, 8.0, 12)
-        down = np.diag([1.0, -1.0, -1.0])  # x east, y south, z down
         tilts = draw.normal(0.0, 2.0, (12, 3)) + np.array([0.0, 0.0, 90.0])
         tilts[4:8, 2] += 180.0  # the aircraft comes back
         turns = Rotation.from_euler("xyz", tilts, degrees=True).as_matrix()
-        cam_from_enu = down @ turns.transpose(0, 2, 1)
-        point_lat = lat0 + draw.uniform(-900, 900, 60) / degree_m
-        point_lon = lon0 + draw.uniform(-900, 900, 60) / (degree_m * np.cos(np.radians(lat0)))
-        point_h = 500.0 + draw.uniform(0.0, 60.0, 60)
-        names = [f"IMG_{k:04d}.JPG" for k in range(1, 13)]
         block = cls(
-            lat,
-            lon,
-            h,
-            cam_from_enu,
-            point_lat,
-            point_lon,
-            point_h,
-            pd.DataFrame(),
-            names,
-            (lat0, lon0, 0.0),
+            lat=lat0 + (line - 1.0) * spacing_m / degree_m,
+            lon=lon0 + (place - 1.5) * spacing_m / degree_east_m,
+            h=h,
+            cam_from_enu=Y_UP_Z_BACK @ turns.transpose(0, 2, 1),  # x east, y south, z down
+            point_lat=lat0 + draw.uniform(-900, 900, 60) / degree_m,
+            point_lon=lon0 + draw.uniform(-900, 900, 60) / degree_east_m,
+            point_h=500.0 + draw.uniform(0.0, 60.0, 60),
+            observations=pd.DataFrame(),
+            names=[f"IMG_{k:04d}.JPG" for k in range(1, 13)],
+            origin=(lat0, lon0, 0.0),
         )
         block.observations = block.observed()
         return block
 
+    @property
+    def centres(self) -> np.ndarray:
+        """(n, 3) earth-centred."""
+        return ecef(self.lat, self.lon, self.h)
+
     def cam_from_ecef(self) -> np.ndarray:
-        axes = [enu_axes(*place) for place in zip(self.lat, self.lon, strict=True)]
+        axes = list(map(enu_axes, self.lat, self.lon))
         return self.cam_from_enu @ np.array(axes)
 
     def observed(self) -> pd.DataFrame:
         places = ecef(self.point_lat, self.point_lon, self.point_h)
+        turns = self.cam_from_ecef()
         rows = []
-        for name, centre, turn in zip(
-            self.names, ecef(self.lat, self.lon, self.h), self.cam_from_ecef(), strict=True
-        ):
-            cam = (places - centre) @ turn.T
-            uv = pixels(cam)
-            inside = (uv > 0).all(axis=1) & (uv < [WIDTH, HEIGHT]).all(axis=1)
-            for k in np.flatnonzero(inside):
+        for name, centre, turn in zip(self.names, self.centres, turns, strict=True):
+            uv = pixels((places - centre) @ turn.T)
+            inside = (uv > 0) & (uv < [WIDTH, HEIGHT])
+            for k in np.flatnonzero(inside.all(axis=1)):
                 rows.append((name, f"{k + 1}", *uv[k]))
         return pd.DataFrame(rows, columns=["image", "point", "x_px", "y_px"])
+
+    def seen_in(self, name: str) -> pd.DataFrame:
+        """The observations of an image."""
+        return self.observations[self.observations["image"] == name]
 
     def in_enu(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Centres (n, 3), rotations to the camera (n, 3, 3), and points (p, 3), at the origin."""
         axes = enu_axes(*self.origin[:2])
         zero = ecef(*self.origin)
-        centres = (ecef(self.lat, self.lon, self.h) - zero) @ axes.T
-        points = (ecef(self.point_lat, self.point_lon, self.point_h) - zero) @ axes.T
-        return centres, self.cam_from_ecef() @ axes.T, points
+        centres = (self.centres - zero) @ axes.T
+        points = ecef(self.point_lat, self.point_lon, self.point_h) - zero
+        return centres, self.cam_from_ecef() @ axes.T, points @ axes.T
 
     def table(self) -> dict[str, tuple]:
         """Latitude, longitude, height and cam_from_enu by image."""
@@ -140,13 +149,14 @@ class SmallBlock:
 
     def write_colmap(self, folder: Path, *, scale=1.0, turn=None) -> None:
         """A sparse model as text, in ``scale`` * (``turn`` applied to east, north, up)."""
-        turn = np.eye(3) if turn is None else turn
+        if turn is None:
+            turn = np.eye(3)
         centres, rotations, points = self.in_enu()
         centres = scale * centres @ turn.T
         points = scale * points @ turn.T
         rotations = rotations @ turn.T
         folder.mkdir(parents=True, exist_ok=True)
-        coefficients = " ".join(str(DISTORTION[k]) for k in ("k1", "k2", "p1", "p2", "k3"))
+        coefficients = " ".join(map(str, OPENCV))
         (folder / "cameras.txt").write_text(
             f"1 FULL_OPENCV {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {CX} {CY} {coefficients} 0 0 0\n"
         )
@@ -156,10 +166,11 @@ class SmallBlock:
             x, y, z, w = Rotation.from_matrix(rotations[number]).as_quat()
             step = -rotations[number] @ centres[number]
             lines.append(f"{number + 1} {w} {x} {y} {z} {step[0]} {step[1]} {step[2]} 1 {name}")
-            rows = self.observations[self.observations["image"] == name]
-            lines.append(" ".join(f"{r.x_px} {r.y_px} {r.point}" for r in rows.itertuples()))
-            for k, point in enumerate(rows["point"]):
-                tracks[int(point)] += f" {number + 1} {k}"
+            pixels_of_image = []
+            for k, r in enumerate(self.seen_in(name).itertuples()):
+                pixels_of_image.append(f"{r.x_px} {r.y_px} {r.point}")
+                tracks[int(r.point)] += f" {number + 1} {k}"
+            lines.append(" ".join(pixels_of_image))
         (folder / "images.txt").write_text("\n".join(lines) + "\n")
         rows = []
         for number, (x, y, z) in enumerate(points, 1):
@@ -181,18 +192,15 @@ class SmallBlock:
                 "CREATE TABLE pose_priors (image_id INTEGER PRIMARY KEY, position BLOB,"
                 " coordinate_system INTEGER, position_covariance BLOB);"
             )
-            coefficients = [DISTORTION[k] for k in ("k1", "k2", "p1", "p2", "k3")]
-            params = np.array([FOCAL, FOCAL, CX, CY, *coefficients, 0, 0, 0])
-            base.execute(
-                "INSERT INTO cameras VALUES (1, 6, ?, ?, ?, 1)", (WIDTH, HEIGHT, params.tobytes())
-            )
+            params = np.array([FOCAL, FOCAL, CX, CY, *OPENCV, 0, 0, 0])
+            camera = (WIDTH, HEIGHT, params.tobytes())
+            base.execute("INSERT INTO cameras VALUES (1, 6, ?, ?, ?, 1)", camera)
             for number, name in enumerate(self.names, 1):
                 base.execute("INSERT INTO images VALUES (?, ?, 1)", (number, name))
-                rows = self.observations[self.observations["image"] == name]
+                rows = self.seen_in(name)
                 xy = rows[["x_px", "y_px"]].to_numpy(np.float32)
-                base.execute(
-                    "INSERT INTO keypoints VALUES (?, ?, 2, ?)", (number, len(xy), xy.tobytes())
-                )
+                keypoints = (number, len(xy), xy.tobytes())
+                base.execute("INSERT INTO keypoints VALUES (?, ?, 2, ?)", keypoints)
                 if known is not None:
                     prior = (number, known[number - 1].astype(float).tobytes(), system)
                     base.execute("INSERT INTO pose_priors VALUES (?, ?, ?, NULL)", prior)
@@ -216,7 +224,11 @@ class SmallBlock:
             "focal_y": FOCAL / size,
             "c_x": (CX - WIDTH / 2) / size,
             "c_y": (CY - HEIGHT / 2) / size,
-            **DISTORTION,
+            "k1": K1,
+            "k2": K2,
+            "k3": K3,
+            "p1": P1,
+            "p2": P2,
         }
         shots = {}
         for k, image in enumerate(self.names):
@@ -257,12 +269,13 @@ class SmallBlock:
         """
         chunk_turn = Rotation.from_euler("xyz", [20.0, -35.0, 110.0], degrees=True).as_matrix()
         middle = ecef(*self.origin) + shift
-        centres = ecef(self.lat, self.lon, self.h) + shift
+        centres = self.centres + shift
+        turns = self.cam_from_ecef()
         cameras = []
         markers: dict[str, list[str]] = {}
         for k, name in enumerate(self.names):
             pose = np.eye(4)
-            pose[:3, :3] = chunk_turn.T @ self.cam_from_ecef()[k].T
+            pose[:3, :3] = chunk_turn.T @ turns[k].T
             pose[:3, 3] = chunk_turn.T @ (centres[k] - middle) / chunk_scale
             given = ""
             if known is not None:
@@ -277,28 +290,28 @@ class SmallBlock:
                     f'<camera id="{100 + k}" sensor_id="1" master_id="{k}" component_id="0" '
                     f'label="{head.prefix}{name}"></camera>'
                 )
-            for r in self.observations[self.observations["image"] == name].itertuples():
+            for r in self.seen_in(name).itertuples():
                 place = f'<location camera_id="{k}" pinned="true" x="{r.x_px!r}" y="{r.y_px!r}"/>'
                 markers.setdefault(r.point, []).append(place)
-        d = DISTORTION
         calibration = (
             f'<resolution width="{WIDTH}" height="{HEIGHT}"/><calibration type="frame" '
             f'class="adjusted"><resolution width="{WIDTH}" height="{HEIGHT}"/><f>{FOCAL}</f>'
-            f"<cx>{CX - WIDTH / 2}</cx><cy>{CY - HEIGHT / 2}</cy><k1>{d['k1']}</k1><k2>{d['k2']}"
-            f"</k2><k3>{d['k3']}</k3><p1>{d['p2']}</p1><p2>{d['p1']}</p2></calibration>"
+            f"<cx>{CX - WIDTH / 2}</cx><cy>{CY - HEIGHT / 2}</cy><k1>{K1}</k1><k2>{K2}"
+            f"</k2><k3>{K3}</k3><p1>{P2}</p1><p2>{P1}</p2></calibration>"
         )
         sensors = f'<sensor id="0" label="c" type="frame">{calibration}</sensor>'
         if head is not None:
-            step = " ".join(repr(v) for v in (np.asarray(head.place_m) / chunk_scale).tolist())
+            step = text_of(np.asarray(head.place_m) / chunk_scale)
             sensors += (
                 f'<sensor id="1" label="head" type="frame" master_id="0">{calibration}'
                 f'<rotation locked="false">{text_of(head.master_from_head)}</rotation>'
                 f'<translation locked="false">{step}</translation></sensor>'
             )
-        labels = "".join(f'<marker id="{k}" label="{k}"/>' for k in markers)
-        places = "".join(
-            f'<marker marker_id="{k}">{"".join(found)}</marker>' for k, found in markers.items()
-        )
+        labels = ""
+        places = ""
+        for k, locations in markers.items():
+            labels += f'<marker id="{k}" label="{k}"/>'
+            places += f'<marker marker_id="{k}">{"".join(locations)}</marker>'
         path.write_text(
             f'<document version="2.0.0"><chunk label="1" enabled="true"><sensors>{sensors}'
             '</sensors><components><component id="0"><transform><rotation locked="false">'
@@ -329,8 +342,9 @@ class SmallBlock:
             enu_from_grid = np.array([east, north, [0.0, 0.0, 1.0]]).T
             rotations.append(turn @ enu_from_grid)
         px, py = to_grid.transform(self.point_lon, self.point_lat)
+        centres = np.stack([x, y, self.h], axis=1)
         points = np.stack([px, py, self.point_h], axis=1)
-        return np.stack([x, y, self.h], axis=1), np.array(rotations), points
+        return centres, np.array(rotations), points
 
     def write_pix4d(self, folder: Path, epsg: int, *, offset, leave_out=()) -> None:
         """The parameters of a project called ``survey``."""
@@ -338,7 +352,6 @@ class SmallBlock:
 
         centres, rotations, _ = self.in_grid(epsg)
         folder.mkdir(parents=True, exist_ok=True)
-        d = DISTORTION
         lines = [
             "fileName imageWidth imageHeight ",
             "camera matrix K [3x3]",
@@ -357,8 +370,8 @@ class SmallBlock:
                 f"{FOCAL} 0 {CX}",
                 f"0 {FOCAL} {CY}",
                 "0 0 1",
-                f"{d['k1']} {d['k2']} {d['k3']}",
-                f"{d['p1']} {d['p2']}",
+                f"{K1} {K2} {K3}",
+                f"{P1} {P2}",
                 text_of(centre - offset),
                 *(text_of(row) for row in turn),
             ]
@@ -366,7 +379,7 @@ class SmallBlock:
             x, y, z = centre
             external.append(f"{name} {x:.6f} {y:.6f} {z:.6f} {omega:.9f} {phi:.9f} {kappa:.9f}")
             ties.append(name.removesuffix(".JPG"))
-            for r in self.observations[self.observations["image"] == name].itertuples():
+            for r in self.seen_in(name).itertuples():
                 ties.append(f"{1000 + int(r.point)} {r.x_px!r} {r.y_px!r} 2.5")
             ties.append("-99")
         files = {
@@ -401,13 +414,20 @@ class SmallBlock:
             centres, rotations, points = self.in_grid(int(system.removeprefix("EPSG:")))
         # The rows of what turns a camera with x right, y down to the stated axes.
         to_stated = {
-            "XRightYDown": np.diag([1.0, 1.0, 1.0]),
-            "XRightYUp": np.diag([1.0, -1.0, -1.0]),
+            "XRightYDown": np.eye(3),
+            "XRightYUp": Y_UP_Z_BACK,
             "XLeftYDown": np.diag([-1.0, 1.0, -1.0]),
             "XDownYRight": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
         }[orientation]
         pixel_mm = 0.004
-        d = DISTORTION
+
+        def in_mm(right_px: float, down_px: float) -> str:
+            """A place in the image, in the stated axes."""
+            right = pixel_mm * right_px
+            down = pixel_mm * down_px
+            x_mm, y_mm, _ = (to_stated @ [right, down, 0.0]).tolist()
+            return f"<xmm>{x_mm!r}</xmm><ymm>{y_mm!r}</ymm>"
+
         focal = f"<FocalLengthPixels>{FOCAL}</FocalLengthPixels>"
         principal = f"<x>{CX - 0.5}</x><y>{CY - 0.5}</y>"
         if millimetres:
@@ -415,20 +435,19 @@ class SmallBlock:
                 f"<SensorSize>{pixel_mm * WIDTH}</SensorSize>"
                 f"<FocalLength>{pixel_mm * FOCAL}</FocalLength>"
             )
-            right = pixel_mm * (CX - WIDTH / 2)
-            down = pixel_mm * (CY - HEIGHT / 2)
-            x, y, _ = (to_stated @ [right, down, 0.0]).tolist()
-            principal = f"<xmm>{x!r}</xmm><ymm>{y!r}</ymm>"
+            principal = in_mm(CX - WIDTH / 2, CY - HEIGHT / 2)
         photos = []
         for k, (centre, turn) in enumerate(zip(centres, rotations, strict=True)):
             matrix = to_stated @ turn
             if angles:
-                names = ("Omega", "Phi", "Kappa")
-                given = zip(names, textbook_angles(matrix), strict=True)
+                names = ["Omega", "Phi", "Kappa"]
+                values = textbook_angles(matrix)
             else:
                 names = [f"M_{i}{j}" for i in range(3) for j in range(3)]
-                given = zip(names, matrix.ravel().tolist(), strict=True)
-            rotation = "".join(f"<{name}>{value!r}</{name}>" for name, value in given)
+                values = matrix.ravel().tolist()
+            rotation = ""
+            for name, value in zip(names, values, strict=True):
+                rotation += f"<{name}>{value!r}</{name}>"
             x, y, z = centre.tolist()
             exif = ""
             if known is not None:
@@ -449,10 +468,7 @@ class SmallBlock:
             for r in rows.itertuples():
                 pixel = f"<x>{r.x_px - 0.5!r}</x><y>{r.y_px - 0.5!r}</y>"
                 if millimetres:
-                    right = pixel_mm * (r.x_px - CX)
-                    down = pixel_mm * (r.y_px - CY)
-                    x_mm, y_mm, _ = (to_stated @ [right, down, 0.0]).tolist()
-                    pixel = f"<xmm>{x_mm!r}</xmm><ymm>{y_mm!r}</ymm>"
+                    pixel = in_mm(r.x_px - CX, r.y_px - CY)
                 photo = self.names.index(r.image) + 5
                 seen.append(f"<Measurement><PhotoId>{photo}</PhotoId>{pixel}</Measurement>")
             ties.append(
@@ -466,8 +482,8 @@ class SmallBlock:
             f"<Width>{WIDTH}</Width><Height>{HEIGHT}</Height></ImageDimensions>"
             f"<CameraModelType>Perspective</CameraModelType>{focal}"
             f"<CameraOrientation>{orientation}</CameraOrientation>"
-            f"<PrincipalPoint>{principal}</PrincipalPoint><Distortion><K1>{d['k1']}</K1>"
-            f"<K2>{d['k2']}</K2><K3>{d['k3']}</K3><P1>{d['p2']}</P1><P2>{d['p1']}</P2></Distortion>"
+            f"<PrincipalPoint>{principal}</PrincipalPoint><Distortion><K1>{K1}</K1>"
+            f"<K2>{K2}</K2><K3>{K3}</K3><P1>{P2}</P1><P2>{P1}</P2></Distortion>"
             f"<AspectRatio>1</AspectRatio><Skew>0</Skew>{''.join(photos)}</Photogroup>"
             f"</Photogroups><ControlPoints/><TiePoints>{''.join(ties)}</TiePoints></Block>"
             "</BlocksExchange>"
@@ -484,7 +500,7 @@ def textbook_angles(m: np.ndarray) -> list[float]:
 
 def textbook_opk(cam: np.ndarray) -> list[float]:
     """The same of a camera with x right, y down, z forward: the textbook's has y up, z back."""
-    return textbook_angles(np.diag([1.0, -1.0, -1.0]) @ cam)
+    return textbook_angles(Y_UP_Z_BACK @ cam)
 
 
 @dataclass
@@ -498,7 +514,7 @@ class SmallRig:
 
 def text_of(values: np.ndarray) -> str:
     """The numbers of an array, one behind the other."""
-    return " ".join(repr(value) for value in np.ravel(values).tolist())
+    return " ".join(map(repr, np.ravel(values).tolist()))
 
 
 def largest_difference(stations: pd.DataFrame, block: SmallBlock) -> tuple[float, float]:
@@ -507,10 +523,11 @@ def largest_difference(stations: pd.DataFrame, block: SmallBlock) -> tuple[float
     turned = []
     truth = block.table()
     for row in stations.itertuples():
-        lat, lon, h, wanted = truth[row.image]
-        here = ecef(row.lat_deg, row.lon_deg, row.h_ellipsoid_m)
-        away.append(np.linalg.norm(here - ecef(lat, lon, h)))
-        found = Rotation.from_quat([row.q_x, row.q_y, row.q_z, row.q_w]).as_matrix()
-        cosine = (np.trace(found @ wanted.T) - 1) / 2
+        *place, true_attitude = truth[row.image]
+        station = ecef(row.lat_deg, row.lon_deg, row.h_ellipsoid_m)
+        away.append(np.linalg.norm(station - ecef(*place)))
+        quaternion = [row.q_x, row.q_y, row.q_z, row.q_w]
+        attitude = Rotation.from_quat(quaternion).as_matrix()
+        cosine = (np.trace(attitude @ true_attitude.T) - 1) / 2
         turned.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     return max(away), max(turned)

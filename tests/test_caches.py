@@ -1,7 +1,5 @@
 """What is kept to save time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import jinja2

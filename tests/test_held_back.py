@@ -1,7 +1,5 @@
 """Signals that wait: until they are asked for, or until the block is left."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from contextlib import ExitStack

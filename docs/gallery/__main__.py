@@ -26,7 +26,7 @@ again.
 
 def main(named: list[str]) -> None:
     page = HEAD
-    texts = tomllib.loads(TEXTS.read_text(encoding="utf-8"))
+    texts = tomllib.loads(TEXTS.read_text("utf-8"))
     for name, about in texts.items():
         script = import_module(f"docs.gallery.{name}")
         rows = script.rows() if name in named or not named else numbers_of(name)
@@ -36,7 +36,7 @@ def main(named: list[str]) -> None:
         page += f"\n## {title}\n\n{about['text']}\n{picture}\n"
         page += f'??? note "The numbers (`docs/gallery/{name}.py`)"\n\n'
         page += "".join(f"    {line}\n" for line in table(rows).splitlines())
-    PAGE.write_text(page, encoding="utf-8")
+    PAGE.write_text(page, "utf-8")
 
 
 if __name__ == "__main__":

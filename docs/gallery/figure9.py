@@ -8,16 +8,24 @@ from unbend.refraction import refraction_angle
 from unbend.units import ARCSEC
 
 SIZE = (8.2, 4.2)
-HEIGHTS = np.arange(1.0, 26.0)
+HEIGHTS_KM = np.arange(1.0, 26.0)
+SHOWN_KM = (3.0, 6.0, 10.0, 20.0)
+ANGLES_DEG = (45, 85)
+RADIUS_M = 6_378_000.0
 NAMES = [name for name in standard_names() if name.startswith("supplements1966")]
-SHOWN = (3.0, 6.0, 10.0, 20.0)
+
+
+def refraction(name: str, degrees: float) -> np.ndarray:
+    """R [arcsec] in an atmosphere, from cameras at `HEIGHTS_KM` to the sea."""
+    air = standard_atmosphere(name, index="gyer")
+    h_c = 1000.0 * HEIGHTS_KM
+    zeta = np.radians(degrees)
+    return refraction_angle(air, h_c, 0.0, zeta, RADIUS_M) / ARCSEC
 
 
 def difference(name: str, degrees: float) -> np.ndarray:
-    """R in US 1976 less R in another atmosphere [arcsec], cameras at `HEIGHTS` [km]."""
-    ray = (1000.0 * HEIGHTS, 0.0, np.radians(degrees), 6_378_000.0)
-    standard, other = (standard_atmosphere(n, index="gyer") for n in ("us1976", name))
-    return (refraction_angle(standard, *ray) - refraction_angle(other, *ray)) / ARCSEC
+    """R in US 1976 less R in another atmosphere [arcsec], cameras at `HEIGHTS_KM`."""
+    return refraction("us1976", degrees) - refraction(name, degrees)
 
 
 def label(name: str) -> str:
@@ -27,21 +35,33 @@ def label(name: str) -> str:
 
 
 def rows() -> list[list[str]]:
-    head = [f"{angle}° from {h:.0f} km [arcsec]" for angle in (45, 85) for h in SHOWN]
-    found = [["US 1976 minus", *head]]
+    head = ["US 1976 minus"]
+    for degrees in ANGLES_DEG:
+        head += [f"{degrees}° from {h:.0f} km [arcsec]" for h in SHOWN_KM]
+    table = [head]
+    is_shown = np.isin(HEIGHTS_KM, SHOWN_KM)
     for name in NAMES:
-        values = [difference(name, angle)[h == HEIGHTS][0] for angle in (45, 85) for h in SHOWN]
-        found.append([label(name), *(f"{value:+.2f}" for value in values)])
-    return found
+        row = [label(name)]
+        for degrees in ANGLES_DEG:
+            row += [f"{value:+.2f}" for value in difference(name, degrees)[is_shown]]
+        table.append(row)
+    return table
 
 
 def draw(figure: Figure, table: list[list[str]]) -> None:
-    for axis, degrees in zip(figure.subplots(1, 2, sharey=True), (45, 85), strict=True):
+    left, right = figure.subplots(1, 2, sharey=True)
+    for axis, degrees in zip((left, right), ANGLES_DEG, strict=True):
         for name in NAMES:
+            arcsec = difference(name, degrees)
             dash = "--" if "july" in name else "-"
-            axis.plot(difference(name, degrees), HEIGHTS, dash, lw=1.4, label=label(name))
+            axis.plot(arcsec, HEIGHTS_KM, dash, lw=1.4, label=label(name))
         axis.set_title(f"nadir angle {degrees}°")
         axis.set_xlabel("R in US 1976 minus R there [arcsec]")
-    figure.axes[0].set_ylabel("height of the camera [km]")
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right center", fontsize=8)
+    left.set_ylabel("height of the camera [km]")
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(
+        handles,
+        labels,
+        loc="outside right center",
+        fontsize=8,
+    )

@@ -1,33 +1,31 @@
 """What the pictures of the gallery share: colours, light and dark, tables, and the page.
 
-Each script of this folder has `rows`, the numbers as a table of texts, and `draw`, which draws them
-on a figure of `SIZE`. `python -m docs.gallery` writes all of them to docs/pages/gallery, with the
-texts of texts.toml; tests/golden/test_gallery.py computes numbers again.
+Each script has `rows`, a table of texts, and `draw`, which draws them on a figure of `SIZE`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib as mpl
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-FOLDER = Path(__file__).resolve().parents[1] / "pages" / "gallery"
+FOLDER = Path(__file__).resolve().parents[1] / "pages/gallery"
 BLUE = "#3b8ec9"
 ORANGE = "#e58a1f"
 GREEN = "#3aa678"
 PURPLE = "#c45ab3"
 GREY = "#8a8a8a"
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, "#b8a31d", "#d9534f", "#56b4b4", "#7f6fd0", GREY)
-THEMES = {"light": ("#333333", "#d9d9d9"), "dark": ("#dddddd", "#50566a")}
-"""Colours of words and of lines, on the ground of the page."""
+THEMES = {"light": ("#333333", "#d9d9d9"), "dark": ("#dddddd", "#50566a")}  # words, lines
 
 
 def save(name: str, title: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
-    """A picture in both themes; returns what stands on the page for it."""
-    shown = ""
+    """A picture in both themes; returns what the page has for it."""
+    links = ""
     for theme, (words, lines) in THEMES.items():
+        file = f"{name}-{theme}.png"
         style = {
             "text.color": words,
             "axes.labelcolor": words,
@@ -45,41 +43,48 @@ def save(name: str, title: str, size: tuple[float, float], draw: Callable[[Figur
             "axes.titlesize": 10,
             "legend.frameon": False,
             "axes.axisbelow": True,
-            "axes.prop_cycle": mpl.cycler(color=COLOURS),
+            "axes.prop_cycle": matplotlib.cycler(color=COLOURS),
             "axes.spines.top": False,
             "axes.spines.right": False,
             "axes.unicode_minus": False,
         }
-        with mpl.rc_context(style):
+        with matplotlib.rc_context(style):
             figure = Figure(figsize=size, layout="constrained")
             draw(figure)
-            figure.savefig(FOLDER / f"{name}-{theme}.png", dpi=110, metadata={"Software": None})
-        shown += f"![{title}]({name}-{theme}.png#only-{theme})\n"
-    return shown
+            figure.savefig(FOLDER / file, dpi=110, metadata={"Software": None})
+        links += f"![{title}]({file}#only-{theme})\n"
+    return links
 
 
 def bars(axis: Axes, values: dict[str, list[str]]) -> None:
     """Root mean squares as bars from the top, and the values themselves as points, log scale."""
-    for y, (colour, texts) in enumerate(zip(COLOURS, values.values(), strict=False)):
-        found = abs(np.array(texts, float))
-        axis.barh(-y, np.sqrt(np.mean(found**2)), color=colour, alpha=0.55)
-        axis.plot(found, np.full(found.size, -y), ".", color=colour)
-    axis.set_yticks([-y for y in range(len(values))], list(values))
-    axis.set_xscale("log")
-    axis.set_xlim(0.005, 50.0)
+    y = -np.arange(len(values))
+    for i, texts in enumerate(values.values()):
+        numbers = abs(np.array(texts, float))
+        rms = np.sqrt(np.mean(numbers**2))
+        axis.barh(y[i], rms, color=COLOURS[i], alpha=0.55)
+        axis.plot(numbers, np.full(numbers.size, y[i]), ".", color=COLOURS[i])
+    axis.set_yticks(y, list(values))
+    axis.set(xscale="log", xlim=(0.005, 50.0))
     axis.set_xticks([0.01, 0.1, 1.0, 10.0], ["0.01", "0.1", "1", "10"])
 
 
-def table(rows: Sequence[Sequence[str]]) -> str:
+def table(rows: list[list[str]]) -> str:
     """Rows of texts as Markdown, the first of them the head."""
-    head, *body = (f"| {' | '.join(row)} |" for row in rows)
-    return "\n".join([head, "| :-- |" + " --: |" * (len(rows[0]) - 1), *body])
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    numbers = len(rows[0]) - 1
+    lines.insert(1, "| :-- |" + " --: |" * numbers)
+    return "\n".join(lines)
 
 
 def numbers_of(name: str) -> list[list[str]]:
-    """The table of a script as it stands on the page."""
-    page = (FOLDER / "index.md").read_text(encoding="utf-8")
-    lines = page.split(f"docs/gallery/{name}.py")[1].split("## ")[0].splitlines()
-    cells = [line.strip()[1:-1].split("|") for line in lines if line.startswith("    |")]
-    rows = [[cell.strip() for cell in row] for row in cells]
-    return [rows[0], *rows[2:]]
+    """The table of a script that the page has."""
+    page = FOLDER.joinpath("index.md").read_text("utf-8")
+    section = page.split(f"docs/gallery/{name}.py")[1].split("## ")[0]
+    rows = []
+    for line in section.splitlines():
+        if line.startswith("    |"):
+            cells = line.strip().strip("|").split("|")
+            rows.append([cell.strip() for cell in cells])
+    del rows[1]  # the rule below the head
+    return rows

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from docs.gallery.plates import bars
 from tests.atmosphere import flights
-from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere import Profile, standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
@@ -13,7 +13,7 @@ from unbend.atmosphere.soundings import Sounding
 from unbend.messages import Ledger
 
 SIZE = (8.2, 3.8)
-CLIMBS = (1000, 3000, 6000)
+CLIMBS_M = (1000, 3000, 6000)
 FLOWN = {
     "barometer and GNSS": {"thermometer": False},
     "thermometer, climb": {},
@@ -21,57 +21,70 @@ FLOWN = {
 }
 SOURCES = ["US 1976", "climatology", "sounding 12 h apart", *FLOWN]
 PAIRS = {5: 4, 4: 5, 7: 6, 6: 7}  # ascents 12 hours apart
+HALF_A_DAY_NS = 12 * 3600 * 10**9
 US1976 = standard_atmosphere("us1976")
 AIRS = [flights.Truth(balloon) for balloon in flights.balloons()]
 
 
-def error(number: int, climb: int, source: str) -> float:
-    """Error of R [%] in the air of a sounding, by its number from 0."""
+def sounding_before(number: int) -> Sounding:
+    """The other sounding of the place, as of 12 hours before."""
     truth = AIRS[number]
-    rng = np.random.default_rng(number)
-    month = month_of(truth.start_ns)
-    ground = float(truth.h[0])
-    usual = climatology(latitude_rad=truth.latitude, month=month, ground_h_m=ground)
+    air = AIRS[PAIRS[number]]
+    levels = (column[::50] for column in (air.h, air.p, air.t, air.e))
+    time_ns = truth.start_ns - HALF_A_DAY_NS
+    return Sounding(*levels, time_ns, "", truth.latitude, 0.0)
+
+
+def air_of(number: int, climb_m: int, source: str) -> Profile:
+    """What a source tells of the air of a sounding, by its number from 0."""
+    if source == "US 1976":
+        return US1976
+    truth = AIRS[number]
     samples = AirSamples()
     soundings = []
     if source == "sounding 12 h apart":
-        other = AIRS[PAIRS[number]]
-        levels = (column[::50] for column in (other.h, other.p, other.t, other.e))
-        before = truth.start_ns - 12 * 3600 * 10**9
-        soundings = [Sounding(*levels, before, "", truth.latitude, 0.0)]
+        soundings.append(sounding_before(number))
     elif source in FLOWN:
-        samples = flights.fly(truth, climb, flights.drawn(rng), rng, **FLOWN[source])
-    profile = US1976
-    if source != "US 1976":
-        more = {"time_ns": truth.start_ns, "longitude_rad": 0.0, "soundings": soundings}
-        made = build_adjusted_profile(
-            samples, US1976, truth.latitude, Ledger(), background=usual, **more
-        )
-        profile = made.profile
-    return 100.0 * truth.error(profile, climb)
+        rng = np.random.default_rng(number)
+        samples = flights.fly(truth, climb_m, flights.drawn(rng), rng, **FLOWN[source])
+    month = month_of(truth.start_ns)
+    ground_m = float(truth.h[0])
+    background = climatology(latitude_rad=truth.latitude, month=month, ground_h_m=ground_m)
+    adjusted = build_adjusted_profile(
+        samples,
+        US1976,
+        truth.latitude,
+        Ledger(),
+        background=background,
+        time_ns=truth.start_ns,
+        longitude_rad=0.0,
+        soundings=soundings,
+    )
+    return adjusted.profile
 
 
 def rows(numbers: tuple[int, ...] = tuple(range(9))) -> list[list[str]]:
-    found = [["error of R [%] in the air of", *SOURCES]]
+    table = [["error of R [%] in the air of", *SOURCES]]
     for number in numbers:
-        able = [number in PAIRS or "sounding" not in source for source in SOURCES]
-        for climb in CLIMBS:
-            values = (
-                f"{error(number, climb, s):+.2f}" if ok else ""
-                for s, ok in zip(SOURCES, able, strict=True)
-            )
-            found.append([f"{AIRS[number].name[2:]}, {climb // 1000} km", *values])
-    return found
+        for climb_m in CLIMBS_M:
+            row = [f"{AIRS[number].name[2:]}, {climb_m // 1000} km"]
+            for source in SOURCES:
+                cell = ""
+                if source != "sounding 12 h apart" or number in PAIRS:
+                    profile = air_of(number, climb_m, source)
+                    cell = f"{100.0 * AIRS[number].error(profile, climb_m):+.2f}"
+                row.append(cell)
+            table.append(row)
+    return table
 
 
 def draw(figure: Figure, table: list[list[str]]) -> None:
-    for i, axis in enumerate(figure.subplots(1, 3, sharey=True)):
-        bars(
-            axis,
-            {
-                name: [row[column] for row in table[1 + i :: 3] if row[column]]
-                for column, name in enumerate(SOURCES, start=1)
-            },
-        )
-        axis.set_title(f"climb to {CLIMBS[i] // 1000} km")
-        axis.set_xlabel("error of R [%]")
+    panels = figure.subplots(1, 3, sharey=True)
+    for i, climb_m in enumerate(CLIMBS_M):
+        values = {}
+        for column, source in enumerate(SOURCES, start=1):
+            cells = [row[column] for row in table[1 + i :: 3]]
+            values[source] = [cell for cell in cells if cell]
+        bars(panels[i], values)
+        panels[i].set_title(f"climb to {climb_m // 1000} km")
+        panels[i].set_xlabel("error of R [%]")

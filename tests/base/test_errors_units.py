@@ -1,28 +1,26 @@
 """Exit codes, texts of refusals, and constants against their definitions."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from datetime import UTC, datetime
 
 import pytest
+import yaml
 
 from unbend import errors, exit_codes, units
 
+EXIT_CODES = yaml.safe_load("""
+- [ConfigError, 2]
+- [LogError, 6]
+- [InputError, 6]
+- [MissionError, 6]
+- [PhysicsError, 2]
+- [OutputInUseError, 4]
+- [StorageError, 5]
+""")
 
-@pytest.mark.parametrize(
-    ("name", "code"),
-    [
-        ("ConfigError", 2),
-        ("LogError", 6),
-        ("InputError", 6),
-        ("MissionError", 6),
-        ("PhysicsError", 2),
-        ("OutputInUseError", 4),
-        ("StorageError", 5),
-    ],
-)
+
+@pytest.mark.parametrize(("name", "code"), EXIT_CODES)
 def test_exit_codes(name, code):
     error = getattr(errors, name)("A-B", "what", where="there", remedy="do")
     assert error.exit_code == code
@@ -39,10 +37,16 @@ def test_a_refusal_without_place_and_remedy_is_one_line():
     assert str(errors.LogError("A-B", "what")) == "A-B: what"
 
 
-@pytest.mark.parametrize(
-    ("name", "code"),
-    [("DONE", 0), ("BUG", 1), ("LOSSES", 3), ("INTERRUPTED", 130), ("TERMINATED", 143)],
-)
+OTHER_EXIT_CODES = yaml.safe_load("""
+- [DONE, 0]
+- [BUG, 1]
+- [LOSSES, 3]
+- [INTERRUPTED, 130]
+- [TERMINATED, 143]
+""")
+
+
+@pytest.mark.parametrize(("name", "code"), OTHER_EXIT_CODES)
 def test_the_other_exit_codes(name, code):
     assert getattr(exit_codes, f"EXIT_{name}") == code
 

@@ -1,7 +1,5 @@
 """Messages, and the ledger that holds them."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -24,12 +22,17 @@ def code(name: str) -> Code:
 
 @pytest.mark.parametrize("kind", MAKERS)
 def test_a_message_of_each_kind(kind):
-    message = MAKERS[kind](
-        code("A-B"), "{count} of {where}: {x:.1f}", where="there", count=3, x=2.0
+    text = "{count} of {where}: {x:.1f}"
+    message = MAKERS[kind](code("A-B"), text, where="there", count=3, x=2.0)
+    expected = Message(
+        kind=Kind(kind),
+        code="A-B",
+        text=text,
+        where="there",
+        count=3,
+        values={"x": 2.0},
     )
-    assert message == Message(
-        Kind(kind), "A-B", "{count} of {where}: {x:.1f}", "there", 3, {"x": 2.0}
-    )
+    assert message == expected
     ledger = Ledger()
     ledger.add(message)
     assert list(ledger) == [message]
@@ -47,13 +50,14 @@ def test_a_message_of_each_kind(kind):
 
 
 def test_a_message_stands_once_in_the_order_of_its_coming_and_rows_are_sorted():
-    first = warning(code("W-1"), "b")
-    ledger = Ledger([first])
-    notes = (note(code("N-1"), "z"), first, note(code("N-1"), "a"))
-    assert ledger.take(("result", notes)) == "result"
-    assert [message.what for message in ledger] == ["b", "z", "a"]
-    rows = [(row["kind"], row["what"]) for row in ledger.rows()]
-    assert rows == [("note", "a"), ("note", "z"), ("warning", "b")]
+    b = warning(code("W-1"), "b")
+    z = note(code("N-1"), "z")
+    a = note(code("N-1"), "a")
+    ledger = Ledger([b])
+    assert ledger.take(("result", (z, b, a))) == "result"
+    assert list(ledger) == [b, z, a]
+    rows = [message.row() for message in (a, z, b)]
+    assert ledger.rows() == rows
     assert len(ledger) == 3
 
 

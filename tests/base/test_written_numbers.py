@@ -1,28 +1,26 @@
 """Numbers and angles as people write them: read whole, or not at all."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
+import yaml
 
 from unbend.written_numbers import angle_of, height_of, number_of
 
+NUMBERS = yaml.safe_load("""
+- ['-89,9', -89.9]
+- ['2.3e-05', 2.3e-05]
+- ['2,3E-5', 2.3e-05]
+- [' +7 ', 7.0]
+- ['.5', 0.5]
+- ['5.', 5.0]
+- ['300034/100', 3000.34]
+- ['0,123', 0.123]
+- ['1234,567', 1234.567]
+""")
 
-@pytest.mark.parametrize(
-    ("text", "number"),
-    [
-        ("-89,9", -89.9),
-        ("2.3e-05", 2.3e-5),
-        ("2,3E-5", 2.3e-5),
-        (" +7 ", 7.0),
-        (".5", 0.5),
-        ("5.", 5.0),
-        ("300034/100", 3000.34),
-        ("0,123", 0.123),
-        ("1234,567", 1234.567),
-    ],
-)
+
+@pytest.mark.parametrize(("text", "number"), NUMBERS)
 def test_numbers(text, number):
     assert number_of(text) == pytest.approx(number, rel=1e-12)
     assert angle_of(text) == pytest.approx(number, rel=1e-12)
@@ -41,31 +39,32 @@ def test_what_is_no_number(text):
         number_of(text)
 
 
-@pytest.mark.parametrize(
-    ("text", "degrees"),
-    [
-        ("46 deg 56' 40.58\" N", 46.944605556),
-        ("46 deg 56' 40,58\" S", -46.944605556),
-        ("46\u00b056\u203240.58\u2033W", -46.944605556),
-        ("46:56:40.58", 46.944605556),
-        ("-46 56 40.58", -46.944605556),
-        ("[46, 56, 2029/50]", 46.944605556),
-        ("46 deg 56.676'", 46.9446),
-        ("46,56.676S", -46.9446),
-        ("46,56,40.58N", 46.944605556),
-        ("46.9446 S", -46.9446),
-        ("46,9446\u00b0", 46.9446),
-        ("-0 30 0", -0.5),
-        ("46.5 deg", 46.5),
-        ("7.438184 East", 7.438184),
-        ("N46\u00b056'40.58\"", 46.944605556),
-        ("S 46.5", -46.5),
-        ("46/1 56/1 4058/100", 46.944605556),
-        ("46/1, 56/1, 4058/100", 46.944605556),
-    ],
-)
-def test_angles(text, degrees):
-    assert angle_of(text) == pytest.approx(degrees, abs=1e-9)
+ANGLES = """
+46 deg 56' 40.58" N = 46.944605556
+46 deg 56' 40,58" S = -46.944605556
+46\xb056\u203240.58\u2033W = -46.944605556
+46:56:40.58 = 46.944605556
+-46 56 40.58 = -46.944605556
+[46, 56, 2029/50] = 46.944605556
+46 deg 56.676' = 46.9446
+46,56.676S = -46.9446
+46,56,40.58N = 46.944605556
+46.9446 S = -46.9446
+46,9446\xb0 = 46.9446
+-0 30 0 = -0.5
+46.5 deg = 46.5
+7.438184 East = 7.438184
+N46\xb056'40.58" = 46.944605556
+S 46.5 = -46.5
+46/1 56/1 4058/100 = 46.944605556
+46/1, 56/1, 4058/100 = 46.944605556
+"""
+
+
+@pytest.mark.parametrize("row", ANGLES.strip().splitlines())
+def test_angles(row):
+    text, degrees = row.split(" = ")
+    assert angle_of(text) == pytest.approx(float(degrees), abs=1e-9)
 
 
 def test_a_hemisphere_that_is_stated_elsewhere():
@@ -76,10 +75,16 @@ def test_a_hemisphere_that_is_stated_elsewhere():
     assert angle_of("8.5 E", "Unknown ()") == 8.5
 
 
-@pytest.mark.parametrize(
-    ("text", "hemisphere"),
-    [("46.5 N", "S"), ("-46.5 N", ""), ("-8.5", "East"), ("N-46.5", ""), ("8.5 E", "N")],
-)
+CONTRADICTIONS = yaml.safe_load("""
+- ['46.5 N', 'S']
+- ['-46.5 N', '']
+- ['-8.5', East]
+- [N-46.5, '']
+- ['8.5 E', 'N']
+""")
+
+
+@pytest.mark.parametrize(("text", "hemisphere"), CONTRADICTIONS)
 def test_hemispheres_that_contradict_are_not_read(text, hemisphere):
     with pytest.raises(ValueError, match=r"hemisphere|negative|is not"):
         angle_of(text, hemisphere)

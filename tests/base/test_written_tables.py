@@ -1,33 +1,31 @@
 """How tables are written, by their first lines."""
 
-from __future__ import annotations
-
 import pytest
 
 from unbend.written_tables import BLANKS, form_of
 
 
 @pytest.mark.parametrize(
-    ("lines", "separator", "names"),
+    ("text", "separator", "names"),
     [
-        (["a 1,5 2,5", "b 3,5 4,5"], BLANKS, ("1", "2", "3")),
-        (["image, x, y", "a, 1, 2"], ",", ("image", "x", "y")),
-        (["image;note;x", "a;b, c;1,5"], ";", ("image", "note", "x")),
-        (["# made by hand", "#image x", "a 1", "b 2"], BLANKS, ("image", "x")),
-        (["", "  ", "image\tx", "a\t1"], "\t", ("image", "x")),
-        (["EPSG:32632", "a.jpg 1 2 3", "b.jpg 1 2 3"], BLANKS, ("image", "x", "y", "z")),
-        (["+proj=utm +zone=32", "a.jpg 1 2", "b.jpg 1 2"], BLANKS, ("image", "x", "y")),
-        (["image,camera", "a,b"], ",", ("image", "camera")),
-        (["image,x"], ",", ("image", "x")),
-        (["# image, x"], ",", ("image", "x")),
-        (["one column"], BLANKS, ("one", "column")),
-        (["image"], ",", ("image",)),
+        ("a 1,5 2,5\nb 3,5 4,5", BLANKS, "1 2 3"),
+        ("image, x, y\na, 1, 2", ",", "image x y"),
+        ("image;note;x\na;b, c;1,5", ";", "image note x"),
+        ("# made by hand\n#image x\na 1\nb 2", BLANKS, "image x"),
+        ("\n  \nimage\tx\na\t1", "\t", "image x"),
+        ("EPSG:32632\na.jpg 1 2 3\nb.jpg 1 2 3", BLANKS, "image x y z"),
+        ("+proj=utm +zone=32\na.jpg 1 2\nb.jpg 1 2", BLANKS, "image x y"),
+        ("image,camera\na,b", ",", "image camera"),
+        ("image,x", ",", "image x"),
+        ("# image, x", ",", "image x"),
+        ("one column", BLANKS, "one column"),
+        ("image", ",", "image"),
     ],
 )
-def test_separators_and_names(lines, separator, names):
-    form = form_of(lines)
+def test_separators_and_names(text, separator, names):
+    form = form_of(text.splitlines())
     assert form.separator == separator
-    assert form.names == names
+    assert form.names == tuple(names.split())
 
 
 def test_where_rows_begin():

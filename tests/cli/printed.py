@@ -1,11 +1,6 @@
 """What commands print, as tests read it."""
 
-from __future__ import annotations
-
-import csv
-import io
 import json
-from pathlib import Path
 from typing import Any
 
 
@@ -19,18 +14,10 @@ def one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def csv_rows(text: str) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(text)))
-
-
-def csv_rows_of(path: Path) -> list[dict[str, str]]:
-    return csv_rows(path.read_text(encoding="utf-8"))
-
-
 def strict_json(text: str) -> dict[str, Any]:
     """JSON as its standard has it: NaN and Infinity are no numbers."""
 
-    def refuse(word: str) -> None:
+    def refuse(word: str):
         raise AssertionError(f"{word} is no JSON")
 
     return json.loads(text, parse_constant=refuse)

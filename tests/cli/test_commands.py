@@ -1,7 +1,5 @@
 """Every command as a person meets it: help, words, numbers, exit codes, eighty columns."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -11,6 +9,7 @@ import sys
 
 import pandas as pd
 import pytest
+import yaml
 
 from unbend import __version__
 from unbend.cli.app import GROUPS
@@ -21,24 +20,11 @@ from .printed import longest, one_line, strict_json
 
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
-COMMANDS = [
-    "init",
-    "check",
-    "run",
-    "export",
-    "status",
-    "report",
-    "verify",
-    "stations",
-    "inspect",
-    "profile",
-    "angle",
-    "tables",
-    "simulate",
-    "help",
-    "schema",
-    "warm",
-]
+NAMES = """
+    init check run export status report verify stations
+    inspect profile angle tables simulate help schema warm
+"""
+COMMANDS = NAMES.split()
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -55,7 +41,8 @@ def test_the_help_is_the_manual(unbend):
     assert longest(text) <= 80
     lines = []
     for group in GROUPS:
-        lines += text.partition(f"{group}:\n")[2].partition("\n\n")[0].splitlines()
+        section = text.partition(f"{group}:\n")[2]
+        lines += section.partition("\n\n")[0].splitlines()
     assert [line.split()[0] for line in lines] == COMMANDS
     for line in lines:
         assert line.endswith(".")
@@ -102,7 +89,10 @@ def test_a_command_that_cannot_be_obeyed(unbend, words):
 def angle_words(changes: dict[str, object]) -> list[str]:
     """An angle that can be had, with other values."""
     values = {"--camera-height": 3000, "--ground-height": 0, "--nadir-angle": 45} | changes
-    return ["angle", *(f"{option}={value}" for option, value in values.items())]
+    words = ["angle"]
+    for option, value in values.items():
+        words.append(f"{option}={value}")
+    return words
 
 
 @pytest.fixture
@@ -123,16 +113,16 @@ def angle_of(unbend):
     return ask
 
 
-@pytest.mark.parametrize(
-    ("h_c", "zeta", "arcsec"),
-    [
-        (10_000, 75, 61.778543),
-        (10_000, 45, 16.378452),
-        (3000, 45, 7.088778),
-        (120, 45, 0.327323),
-        (20_000, 85, 327.014637),
-    ],
-)
+ANGLES = yaml.safe_load("""
+- [10000, 75, 61.778543]
+- [10000, 45, 16.378452]
+- [3000, 45, 7.088778]
+- [120, 45, 0.327323]
+- [20000, 85, 327.014637]
+""")
+
+
+@pytest.mark.parametrize(("h_c", "zeta", "arcsec"), ANGLES)
 def test_angle(angle_of, h_c, zeta, arcsec):
     options = "--atmosphere us1976 --index gyer --radius 6371000"
     answer, text = angle_of(h_c, 0, zeta, options)
@@ -159,8 +149,11 @@ def landing(zeta: float, *, far: bool) -> tuple[float, float]:
     """East and up of where a straight line from 3 km enters, or leaves, the sphere at 1 km [m]."""
     r_c = 6_374_000.0
     r_g = 6_372_000.0
-    half = math.sqrt((r_c * math.cos(zeta)) ** 2 - (r_c - r_g) * (r_c + r_g))
-    s = r_c * math.cos(zeta) + (half if far else -half)
+    down = r_c * math.cos(zeta)
+    half = math.sqrt(down**2 - (r_c - r_g) * (r_c + r_g))
+    s = down - half
+    if far:
+        s = down + half
     return s * math.sin(zeta), -s * math.cos(zeta)
 
 
@@ -199,20 +192,20 @@ def test_an_ordinary_angle_says_nothing_of_crossings(angle_of):
     assert "crossing" not in text
 
 
+NO_NUMBERS = yaml.safe_load("""
+- ['--radius', nan, RAY-BAD-MEASUREMENT]
+- ['--radius', inf, RAY-BAD-MEASUREMENT]
+- ['--radius', '0', RAY-BAD-MEASUREMENT]
+- ['--camera-height', inf, RAY-BAD-MEASUREMENT]
+- ['--ground-height', '-inf', RAY-BAD-MEASUREMENT]
+- ['--distance', '-1', ANGLE-DISTANCE]
+- ['--distance', nan, ANGLE-DISTANCE]
+- ['--distance', '0', ANGLE-DISTANCE]
+""")
+
+
 @pytest.mark.parametrize("method", ["spherical", "plane", "gyer1996", "manual"])
-@pytest.mark.parametrize(
-    ("option", "value", "code"),
-    [
-        ("--radius", "nan", "RAY-BAD-MEASUREMENT"),
-        ("--radius", "inf", "RAY-BAD-MEASUREMENT"),
-        ("--radius", "0", "RAY-BAD-MEASUREMENT"),
-        ("--camera-height", "inf", "RAY-BAD-MEASUREMENT"),
-        ("--ground-height", "-inf", "RAY-BAD-MEASUREMENT"),
-        ("--distance", "-1", "ANGLE-DISTANCE"),
-        ("--distance", "nan", "ANGLE-DISTANCE"),
-        ("--distance", "0", "ANGLE-DISTANCE"),
-    ],
-)
+@pytest.mark.parametrize(("option", "value", "code"), NO_NUMBERS)
 def test_an_angle_of_what_is_no_number(unbend, method, option, value, code):
     ended = unbend(*angle_words({"--method": method, option: value}), "--json")
     assert ended.code == 2
@@ -227,18 +220,18 @@ def test_heights_outside_the_profile_are_refused_at_once(refusal_of, heights):
     refusal_of("RAY-OUTSIDE-PROFILE", 2, *angle_words({"--method": "gyer1996"} | heights))
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "code"),
-    [
-        ("--atmosphere", "us1967", "ATMOSPHERE-NAME"),
-        ("--method", "magic", "METHOD-NAME"),
-        ("--index", "edlen", "AIR-INDEX"),
-        ("--nadir-angle", "200", "RAY-BAD-MEASUREMENT"),
-        ("--camera-height", "nan", "RAY-BAD-MEASUREMENT"),
-        ("--camera-height", "1e9", "RAY-OUTSIDE-PROFILE"),
-        ("--nadir-angle", "120", "RAY-MISSES-GROUND"),
-    ],
-)
+IMPOSSIBLE_ANGLES = yaml.safe_load("""
+- ['--atmosphere', us1967, ATMOSPHERE-NAME]
+- ['--method', magic, METHOD-NAME]
+- ['--index', edlen, AIR-INDEX]
+- ['--nadir-angle', '200', RAY-BAD-MEASUREMENT]
+- ['--camera-height', nan, RAY-BAD-MEASUREMENT]
+- ['--camera-height', '1e9', RAY-OUTSIDE-PROFILE]
+- ['--nadir-angle', '120', RAY-MISSES-GROUND]
+""")
+
+
+@pytest.mark.parametrize(("option", "value", "code"), IMPOSSIBLE_ANGLES)
 def test_an_angle_that_does_not_exist(refusal_of, option, value, code):
     text = refusal_of(code, 2, *angle_words({option: value}))
     assert "to do: " in text
@@ -329,7 +322,8 @@ def test_profile_of_a_standard(obeyed, tmp_path):
     assert ground["temperature_k"] == pytest.approx(288.15, abs=2.0)
     for name in ("temperature_k", "pressure_pa", "vapour_pressure_pa", "refractivity"):
         assert rows[f"standard_{name}"].equals(rows[name])
-    isothermal = rows[rows["equation"].astype(str).str.startswith("53") & (rows["h_m"] < 21_000)]
+    by_equation_53 = rows["equation"].astype(str).str.startswith("53")
+    isothermal = rows[by_equation_53 & (rows["h_m"] < 21_000)]
     assert len(isothermal) > 0
     assert isothermal["temperature_k"].to_numpy() == pytest.approx(216.65, abs=1e-9)
 
@@ -363,18 +357,18 @@ def test_a_profile_that_lost_something_says_so_beside_its_plot(obeyed, mission, 
     assert str(tmp_path / "air.csv") in text
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "exit_code"),
-    [
-        ("", "PROFILE-ARGUMENTS", 2),
-        ("a.yaml --atmosphere us1976", "PROFILE-ARGUMENTS", 2),
-        ("a.yaml", "CONFIG-MISSING", 2),
-        ("--atmosphere mars", "ATMOSPHERE-NAME", 2),
-        ("--atmosphere us1976 --plot air.pdf", "PLOT-FORMAT", 2),
-        ("--atmosphere us1976 --csv none/air.csv", "STORAGE-WRITE", 5),
-        ("--atmosphere us1976 --plot none/air.png", "STORAGE-WRITE", 5),
-    ],
-)
+IMPOSSIBLE_PROFILES = yaml.safe_load("""
+- ['', PROFILE-ARGUMENTS, 2]
+- [a.yaml --atmosphere us1976, PROFILE-ARGUMENTS, 2]
+- [a.yaml, CONFIG-MISSING, 2]
+- ['--atmosphere mars', ATMOSPHERE-NAME, 2]
+- ['--atmosphere us1976 --plot air.pdf', PLOT-FORMAT, 2]
+- ['--atmosphere us1976 --csv none/air.csv', STORAGE-WRITE, 5]
+- ['--atmosphere us1976 --plot none/air.png', STORAGE-WRITE, 5]
+""")
+
+
+@pytest.mark.parametrize(("words", "code", "exit_code"), IMPOSSIBLE_PROFILES)
 def test_a_profile_that_cannot_be_had(refusal_of, words, code, exit_code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     refusal_of(code, exit_code, "profile", *words.split())

@@ -1,95 +1,116 @@
 """`unbend inspect LOG --type NAME`: every message type of a log as a table."""
 
-from __future__ import annotations
-
+import contextlib
+import io
 import json
+from functools import partial
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from pymavlink.DFReader import DFReader_binary
 
-from .printed import csv_rows
 
-
-def rows_of_library(path, kind: str) -> list[dict[str, object]]:
+def rows_of_library(path: Path, kind: str) -> list[dict]:
     """The messages of a type as pymavlink reads them."""
-    reader = DFReader_binary(str(path))
     rows = []
-    while (message := reader.recv_msg()) is not None:
-        if message.get_type() == kind:
+    with contextlib.closing(DFReader_binary(str(path))) as reader:
+        while (message := reader.recv_match(type=kind)) is not None:
             row = message.to_dict()
             del row["mavpackettype"]
             rows.append(row)
-    reader.close()
     return rows
 
 
 @pytest.fixture
-def inspect(unbend, flown):
-    """`unbend inspect` of the DataFlash log, with more words."""
-    return lambda *words: unbend("inspect", flown.logs["bin"], *words)
+def log(flown) -> Path:
+    """A DataFlash log."""
+    return flown.logs["bin"]
+
+
+@pytest.fixture
+def inspect(unbend, log):
+    """`unbend inspect --type` of it."""
+    return partial(unbend, "inspect", log, "--type")
+
+
+@pytest.fixture
+def csv_of(inspect):
+    """A message type as CSV, from words behind `--type`."""
+
+    def table(*words: str) -> pd.DataFrame:
+        ended = inspect(*words, "--csv")
+        assert ended.code == 0
+        return pd.read_csv(io.StringIO(ended.out), engine="python")
+
+    return table
 
 
 @pytest.mark.parametrize("kind", ["BARO", "PARM", "FMT", "GPS", "CAM"])
-def test_every_row_as_csv(inspect, flown, kind):
-    ended = inspect("--type", kind, "--csv")
-    assert ended.code == 0
-    rows = csv_rows(ended.out)
-    expected = rows_of_library(flown.logs["bin"], kind)
+def test_every_row_as_csv(csv_of, log, kind):
+    rows = csv_of(kind).to_dict("records")
+    expected = rows_of_library(log, kind)
     assert len(rows) == len(expected) > 5
     for row, values in zip(rows, expected, strict=True):
-        for field, value in values.items():
-            cell = row[field] if isinstance(value, str) else float(row[field])
-            assert cell == value
+        shown = {field: row[field] for field in values}
+        assert shown == values
 
 
-def test_times_are_utc(inspect):
-    rows = csv_rows(inspect("--type", "POS", "--csv").out)
-    utc = np.array([row["time_utc"].rstrip("Z") for row in rows], "datetime64[ns]")
-    boot_us = np.array([int(row["TimeUS"]) for row in rows])
-    assert np.all(np.diff(utc).astype(np.int64) == np.diff(boot_us) * 1000)
+def test_times_are_utc(csv_of):
+    rows = csv_of("POS")
+    utc = pd.to_datetime(rows["time_utc"]).astype("datetime64[ns, UTC]")
+    boot_ns = 1000 * rows["TimeUS"]
+    np.testing.assert_array_equal(np.diff(utc.astype(np.int64)), np.diff(boot_ns))
 
 
-def test_one_instance(inspect):
-    rows = csv_rows(inspect("--type", "BARO", "--csv").out)
-    second = csv_rows(inspect("--type", "BARO", "--csv", "--instance", "1").out)
-    assert {row["I"] for row in rows} == {"0", "1"}
-    assert second == [row for row in rows if row["I"] == "1"]
+def test_one_instance(csv_of):
+    rows = csv_of("BARO")
+    assert set(rows["I"]) == {0, 1}
+    second = rows[rows["I"] == 1].reset_index(drop=True)
+    alone = csv_of("BARO", "--instance", "1")
+    pd.testing.assert_frame_equal(alone, second, check_exact=True)
 
 
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("BARO[1]", ("--type", "BARO", "--instance", "1")),
-        ("baro[1]", ("--type", "BARO", "--instance", "1")),
-        ("baro", ("--type", "BARO")),
+        ("BARO[1]", ["BARO", "--instance", "1"]),
+        ("baro[1]", ["BARO", "--instance", "1"]),
+        ("baro", ["BARO"]),
     ],
 )
 def test_names_as_printed_upper_or_lower_case(inspect, name, words):
-    assert inspect("--type", name, "--csv").out == inspect(*words, "--csv").out
+    assert inspect(name, "--csv").out == inspect(*words, "--csv").out
 
 
 def test_topics_upper_or_lower_case(unbend, flown):
-    topic = unbend("inspect", flown.logs["mcap"], "--type", "/CABIN/pressure", "--csv")
+    words = ("--type", "/CABIN/pressure", "--csv")
+    topic = unbend("inspect", flown.logs["mcap"], *words)
     assert topic.code == 0
-    assert "fluid_pressure" in topic.out.splitlines()[0]
+    head = topic.out.splitlines()[0]
+    assert "fluid_pressure" in head
 
 
-def test_fields_without_csv(inspect, flown):
-    ended = inspect("--type", "BARO")
+def test_fields_without_csv(inspect, log):
+    ended = inspect("BARO")
     assert ended.code == 0
     for words in ("flight.bin, BARO", "Press", "float32", "lowest"):
         assert words in ended.out
-    content = json.loads(inspect("--type", "BARO", "--json").out)
-    expected = rows_of_library(flown.logs["bin"], "BARO")
+    as_json = inspect("BARO", "--json")
+    content = json.loads(as_json.out)
+    expected = pd.DataFrame(rows_of_library(log, "BARO"))
     assert content["rows"] == len(expected)
-    (pressure,) = (field for field in content["fields"] if field["field"] == "Press")
-    assert float(pressure["lowest"]) == min(row["Press"] for row in expected)
+    fields = content["fields"]
+    by_name = {field["field"]: field for field in fields}
+    assert len(by_name) == len(fields)
+    lowest = by_name["Press"]["lowest"]
+    assert float(lowest) == expected["Press"].min()
 
 
 @pytest.mark.parametrize("more", [(), ("--csv",)], ids=str)
 def test_quiet_prints_nothing(inspect, more):
-    assert inspect("--type", "BARO", *more, "--quiet").out == ""
+    assert inspect("BARO", *more, "--quiet").out == ""
 
 
 @pytest.mark.parametrize(
@@ -102,8 +123,8 @@ def test_quiet_prints_nothing(inspect, more):
         ("--type BARO --csv --json", 2, "INSPECT-ARGUMENTS", ""),
     ],
 )
-def test_what_cannot_be_shown(inspect, words, exit_code, code, remedy):
-    ended = inspect(*words.split())
+def test_what_cannot_be_shown(unbend, log, words, exit_code, code, remedy):
+    ended = unbend("inspect", log, *words.split())
     assert ended.code == exit_code
     assert ended.err.startswith(f"{code}: ")
     assert remedy in ended.err

@@ -1,7 +1,5 @@
 """Signals, kills and locks, with real processes: nothing half done can be seen."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

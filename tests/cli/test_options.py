@@ -1,7 +1,5 @@
 """Every option of a command has its effect: none is accepted and then ignored."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import json
@@ -16,13 +14,18 @@ from unbend.atmosphere.series.profile_series import TimedProfile
 from unbend.batch import runs
 from unbend.refraction import METHODS
 
-from .printed import csv_rows_of, one_line
+from .printed import one_line
+
+HOUR_NS = 3600 * 10**9
 
 
 def test_run_with_force_runs_again(mission, plain_report):
-    assert "nothing to do" not in mission.run().out
-    assert "nothing to do" in mission.run().out
-    assert "nothing to do" not in mission.run("--force").out
+    first = mission.run()
+    second = mission.run()
+    forced = mission.run("--force")
+    assert "nothing to do" not in first.out
+    assert "nothing to do" in second.out
+    assert "nothing to do" not in forced.out
 
 
 @pytest.mark.parametrize(
@@ -39,7 +42,8 @@ def test_options_of_simulate(unbend, monkeypatch, tmp_path, options, expected):
     taken = []
 
     def simulate(out, settings, progress):
-        taken.append((out, settings.seed, settings.height_above_ground_m, settings.image_noise_px))
+        options = (settings.seed, settings.height_above_ground_m, settings.image_noise_px)
+        taken.append((out, *options))
         progress("rays", 1, 2)
         return SimpleNamespace(
             images=11,
@@ -61,16 +65,19 @@ def test_options_of_simulate(unbend, monkeypatch, tmp_path, options, expected):
 def test_the_table_and_one_angle_agree_for_another_radius(unbend, tmp_path, obeyed):
     """By two commands; at 45 degrees an earth of a tenth of the radius changes R by a percent."""
     out = tmp_path / "radial.csv"
-    heights = ("--atmosphere", "icao", "--camera-height", 5000, "--ground-height", 100)
-    arcsec = {}
+    arcsec = []
     for radius in (6_371_000, 637_100):
-        obeyed("angle", *heights, "--radius", radius, "--step", 15, "--csv", out)
+        words = (
+            f"angle --atmosphere icao --camera-height 5000 --ground-height 100 --radius {radius}"
+        )
+        obeyed(*words.split(), "--step", 15, "--csv", out)
         table = pd.read_csv(out)
         assert table["nadir_angle_deg"].tolist() == pytest.approx([0.0, 15.0, 30.0, 45.0, 60.0])
-        angle = unbend("angle", *heights, "--radius", radius, "--nadir-angle", 45, "--json")
-        arcsec[radius] = json.loads(angle.out)["r_c_arcsec"]
-        assert table["r_c_arcsec"][3] == pytest.approx(arcsec[radius], rel=1e-9)
-    assert abs(arcsec[637_100] / arcsec[6_371_000] - 1.0) > 2e-3
+        answer = unbend(*words.split(), "--nadir-angle", 45, "--json")
+        arcsec.append(json.loads(answer.out)["r_c_arcsec"])
+        assert table["r_c_arcsec"][3] == pytest.approx(arcsec[-1], rel=1e-9)
+    ratio = arcsec[1] / arcsec[0]
+    assert abs(ratio - 1.0) > 2e-3
 
 
 def test_profile_at_every_kilometre(obeyed, tmp_path):
@@ -83,20 +90,19 @@ def test_profile_at_every_kilometre(obeyed, tmp_path):
 
 @pytest.mark.parametrize("step", [(), ("--step", 1000)], ids=str)
 def test_a_profile_of_a_long_flight_has_all_its_parts(obeyed, monkeypatch, tmp_path, step):
-    air, samples, ledger = runs.air_of_mission_or_standard(None, "us1976")
-    hour_ns = 3600 * 10**9
-    parts = (
-        TimedProfile(0, standard_atmosphere("us1976")),
-        TimedProfile(hour_ns, standard_atmosphere("icao")),
-    )
-    series = dataclasses.replace(air.series, timed_profiles=parts)
-    several = dataclasses.replace(air, series=series)
-    monkeypatch.setattr(runs, "air_of_mission_or_standard", lambda *_: (several, samples, ledger))
+    air, *rest = runs.air_of_mission_or_standard(None, "us1976")
+    first = TimedProfile(0, standard_atmosphere("us1976"))
+    second = TimedProfile(HOUR_NS, standard_atmosphere("icao"))
+    series = dataclasses.replace(air.series, timed_profiles=(first, second))
+    long_flight = dataclasses.replace(air, series=series)
+    # The air of a long flight without its log.
+    monkeypatch.setattr(runs, "air_of_mission_or_standard", lambda *_: (long_flight, *rest))
     out = tmp_path / "air.csv"
     obeyed("profile", "--atmosphere", "us1976", *step, "--csv", out)
-    rows = csv_rows_of(out)
-    assert len({row["profile_id"] for row in rows}) == 2
-    assert {row["time_utc"][:19] for row in rows} == {"1970-01-01 00:00:00", "1970-01-01 01:00:00"}
+    rows = pd.read_csv(out)
+    profiles = rows["profile_id"]
+    assert profiles.nunique(dropna=False) == 2
+    assert set(rows["time_utc"].str[:19]) == {"1970-01-01 00:00:00", "1970-01-01 01:00:00"}
 
 
 def test_the_help_of_angle_names_every_method(unbend):

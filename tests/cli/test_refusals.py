@@ -1,7 +1,5 @@
 """Bad input through the command line: a code, what, where and what to do; never a traceback."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -9,6 +7,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
 from tests.batch.test_rehearsal import config
 from tests.helpers import entry_of
@@ -83,7 +82,7 @@ def test_a_value_that_does_not_fit_the_inputs(mission, change, code, words):
 # ---- the log
 
 
-def spoil(mission, name: str, content: bytes) -> None:
+def spoil(mission, name: str, content: bytes):
     (mission.folder / name).write_bytes(content)
     mission.config["log"]["path"] = name
 
@@ -276,21 +275,22 @@ def test_columns_of_a_wrong_type(mission, column, kind):
     assert column in refused(mission.run(), "OBS-TYPE")
 
 
-SPOILT_CELLS = [  # column, value, and the status of the row
-    ("x_px", float("nan"), "bad_measurement"),
-    ("y_px", None, "bad_measurement"),
-    ("x_px", float("inf"), "bad_measurement"),
-    ("h_g_m", None, "no_ground"),
-    ("h_g_m", float("nan"), "no_ground"),
-    ("h_g_m", -6000.0, "no_ground"),
-    ("h_g_m", 40_000.0, "no_ground"),
-    ("image", None, "no_station"),
-    ("image", "nowhere_01", "no_station"),
-    ("image", "", "no_station"),
-    ("x_px", 3e9, "outside_camera"),
-    ("x_px", -1e5, "outside_camera"),
-    ("h_g_m", 9000.0, "misses_ground"),
-]
+SPOILT_CELLS = yaml.safe_load("""
+- [x_px, .nan, bad_measurement]
+- [y_px, null, bad_measurement]
+- [x_px, .inf, bad_measurement]
+- [h_g_m, null, no_ground]
+- [h_g_m, .nan, no_ground]
+- [h_g_m, -6000.0, no_ground]
+- [h_g_m, 40000.0, no_ground]
+- [image, null, no_station]
+- [image, nowhere_01, no_station]
+- [image, "", no_station]
+- [x_px, 3000000000.0, outside_camera]
+- [x_px, -100000.0, outside_camera]
+- [h_g_m, 9000.0, misses_ground]
+""")
+"""Column, value, and the status of the row."""
 
 
 def test_rows_that_cannot_be_corrected_stay(mission, baseline):
@@ -475,7 +475,7 @@ def test_one_mission_is_refused_and_the_other_done(mission_factory, tmp_path, un
 def test_two_missions_with_one_folder(mission, unbend):
     first = mission.save()
     second = first.with_name("second.yaml")
-    second.write_text(first.read_text(encoding="utf-8").replace("simulated_bin", "other"))
+    second.write_text(first.read_text("utf-8").replace("simulated_bin", "other"))
     for command in ("check", "run"):
         assert "mission.yaml" in refused(unbend(command, first, second), "OUTPUT-SHARED", 6)
     assert mission.manifest()["mission"] == "simulated_bin"

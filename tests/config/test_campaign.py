@@ -1,7 +1,5 @@
 """Campaign files: what missions share, which they are, and what is refused with its line."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from pathlib import Path
@@ -29,7 +27,7 @@ def season(mission, tmp_path):
     def write(changes: str = "{}", defaults: str = "{}") -> Path:
         """Sections of the file and of its defaults are YAML."""
         own = {key: mission.config[key] for key in OWN}
-        (mission.folder / "mission.yaml").write_text(yaml.safe_dump(own), encoding="utf-8")
+        (mission.folder / "mission.yaml").write_text(yaml.safe_dump(own), "utf-8")
         shared = {k: v for k, v in mission.config.items() if k not in (*OWN, "output")}
         content = {
             "campaign": {"name": "season", "output": "out"},
@@ -37,7 +35,7 @@ def season(mission, tmp_path):
             "missions": ["mission/mission.yaml"],
         } | yaml.safe_load(changes)
         file = tmp_path / "season.yaml"
-        file.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        file.write_text(yaml.safe_dump(content, sort_keys=False), "utf-8")
         return file
 
     return write
@@ -118,80 +116,60 @@ def test_own_values_replace_defaults_and_null_takes_them_away(season, mission):
     assert values.ground.points.points == "p.csv"  # one of several sections: not mixed
 
 
-TOGETHER = [  # section, defaults, a mission's own, what they are together
-    (
-        "ground",
-        "{height: 450.0, reference: ellipsoid, sigma_m: 0.5}",
-        "height: {dem: d.tif}",
-        "height: {dem: d.tif}",
-    ),
-    (
-        "ground",
-        "{height: 450.0, reference: msl}",
-        "sigma_m: 2.0",
-        "{height: 450.0, reference: msl, sigma_m: 2.0}",
-    ),
-    (
-        "control",
-        "{path: c.csv, crs: EPSG:25833, reference: msl}",
-        "path: own.csv",
-        "path: own.csv",
-    ),
-    (
-        "cameras",
-        "n: {f_px: 9.0, distortion: {k1: 0.1, k2: 0.2}}",
-        "n: {distortion: {k1: 0.3}}",
-        "n: {distortion: {k1: 0.3}}",
-    ),
-    (
-        "mount",
-        "{n: {roll_deg: 4.0}, o: {}}",
-        "n: {yaw_deg: 9.0}",
-        "{n: {yaw_deg: 9.0}, o: {}}",
-    ),
-    (
-        "log",
-        "{max_gap_s: 3.0, channels: {pressure: {name: P, unit: hPa}}}",
-        "{path: a, channels: {pressure: {name: Q}, height: H}}",
-        "{max_gap_s: 3.0, path: a, channels: {pressure: {name: Q}, height: H}}",
-    ),
-    (
-        "atmosphere",
-        "{model: {path: m.nc, member: 3}, index: gyer}",
-        "model: {path: o.nc}",
-        "{model: {path: o.nc}, index: gyer}",
-    ),
-    (
-        "atmosphere",
-        "sensors: {thermometer: {lag_s: 5.0}}",
-        "sensors: {thermometer: {bias_k: 1.0}}",
-        "sensors: {thermometer: {bias_k: 1.0}}",
-    ),
-    (
-        "stations",
-        "{orientation: {path: a, heights: msl}, trajectory: {path: t, crs: E}}",
-        "{orientation: {path: b}, trajectory: {path: u}}",
-        "{orientation: {path: b}, trajectory: {path: u}}",
-    ),
-    (
-        "events",
-        "{csv: {path: a, delay_s: 3.0}, log: {n: {delay_s: 1.0}, o: {delay_s: 1.0}}}",
-        "{csv: {path: b}, log: {n: {channel: CAM}, o: {image: x*}}}",
-        "{csv: {path: b}, log: {n: {channel: CAM}, o: {image: x*, delay_s: 1.0}}}",
-    ),
-    (
-        "mission",
-        "undulation_m: 47.0",
-        "{name: n, geoid: g.tif}",
-        "{name: n, geoid: g.tif}",
-    ),
-]
+TOGETHER = yaml.safe_load("""
+- section: ground
+  defaults: {height: 450.0, reference: ellipsoid, sigma_m: 0.5}
+  mission: {height: {dem: d.tif}}
+  together: {height: {dem: d.tif}}
+- section: ground
+  defaults: {height: 450.0, reference: msl}
+  mission: {sigma_m: 2.0}
+  together: {height: 450.0, reference: msl, sigma_m: 2.0}
+- section: control
+  defaults: {path: c.csv, crs: EPSG:25833, reference: msl}
+  mission: {path: own.csv}
+  together: {path: own.csv}
+- section: cameras
+  defaults: {n: {f_px: 9.0, distortion: {k1: 0.1, k2: 0.2}}}
+  mission: {n: {distortion: {k1: 0.3}}}
+  together: {n: {distortion: {k1: 0.3}}}
+- section: mount
+  defaults: {n: {roll_deg: 4.0}, o: {}}
+  mission: {n: {yaw_deg: 9.0}}
+  together: {n: {yaw_deg: 9.0}, o: {}}
+- section: log
+  defaults: {max_gap_s: 3.0, channels: {pressure: {name: P, unit: hPa}}}
+  mission: {path: a, channels: {pressure: {name: Q}, height: H}}
+  together: {max_gap_s: 3.0, path: a, channels: {pressure: {name: Q}, height: H}}
+- section: atmosphere
+  defaults: {model: {path: m.nc, member: 3}, index: gyer}
+  mission: {model: {path: o.nc}}
+  together: {model: {path: o.nc}, index: gyer}
+- section: atmosphere
+  defaults: {sensors: {thermometer: {lag_s: 5.0}}}
+  mission: {sensors: {thermometer: {bias_k: 1.0}}}
+  together: {sensors: {thermometer: {bias_k: 1.0}}}
+- section: stations
+  defaults: {orientation: {path: a, heights: msl}, trajectory: {path: t, crs: E}}
+  mission: {orientation: {path: b}, trajectory: {path: u}}
+  together: {orientation: {path: b}, trajectory: {path: u}}
+- section: events
+  defaults: {csv: {path: a, delay_s: 3.0}, log: {n: {delay_s: 1.0}, o: {delay_s: 1.0}}}
+  mission: {csv: {path: b}, log: {n: {channel: CAM}, o: {image: x*}}}
+  together: {csv: {path: b}, log: {n: {channel: CAM}, o: {image: x*, delay_s: 1.0}}}
+- section: mission
+  defaults: {undulation_m: 47.0}
+  mission: {name: n, geoid: g.tif}
+  together: {name: n, geoid: g.tif}
+""")
+"""Defaults and values of a mission, and what they are together."""
 
 
-@pytest.mark.parametrize(("section", "defaults", "own", "both"), TOGETHER)
-def test_values_that_belong_together_are_not_mixed(section, defaults, own, both):
-    together = merged({section: yaml.safe_load(defaults)}, {section: yaml.safe_load(own)})
-    assert together == {section: yaml.safe_load(both)}
+@pytest.mark.parametrize("case", TOGETHER, ids=str)
+def test_values_that_belong_together_are_not_mixed(case):
+    section = case["section"]
+    values = merged({section: case["defaults"]}, {section: case["mission"]})
+    assert values == {section: case["together"]}
 
 
 def test_what_is_taken_whole_are_keys_of_a_mission_file():
@@ -223,7 +201,7 @@ def test_a_file_that_is_named_twice_is_taken_once(season, mission):
 def test_sections_that_are_replaced_as_a_whole_are_those_of_which_there_are_several():
     places = []
 
-    def walk(node: dict[str, Any], place: str) -> None:
+    def walk(node: dict[str, Any], place: str):
         arms = alternatives(node)
         if sum("properties" in arm for arm in arms) > 1:
             places.append(place)
@@ -265,25 +243,23 @@ def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
     assert refs[1].words == (str(file), "--mission", str(tmp_path / "a" / "m.yaml"))
 
 
-@pytest.mark.parametrize(
-    ("changes", "texts"),
-    [
-        ("campaign: {name: a/b, output: x}", ["line 2: campaign.name"]),
-        ("campaign: {name: a}", ["line 1: campaign.output: is missing"]),
-        ("missions: []", ["missions"]),
-        ("missions: [7]", ["missions[0]"]),
-        ("misions: [a]", ["misions: unknown key; perhaps 'missions'?"]),
-        ("missions: [{mission: {name: x}, lag: 1}]", ["missions[0].lag", "'log'"]),
-        ("missions: [{mission: {name: x}}]", ["missions[0].observations: is missing"]),
-        ("defaults: {atmosfere: {}}", ["defaults.atmosfere", "perhaps 'atmosphere'?"]),
-        (
-            "defaults: {cameras: {nadir: {window: {normal: [1.0, 0.0, 0.0]}}}}",
-            ["defaults.cameras.nadir.window"],
-        ),
-        ("defaults: {output: {batch_rows: many}}", ["defaults.output.batch_rows"]),
-        ("defaults: {output: {batch_rows: TODO}}", ["CONFIG-TODO", "batch_rows"]),
-    ],
-)
+MISTAKES = yaml.safe_load("""
+- ['campaign: {name: a/b, output: x}', ['line 2: campaign.name']]
+- ['campaign: {name: a}', ['line 1: campaign.output: is missing']]
+- ['missions: []', [missions]]
+- ['missions: [7]', ['missions[0]']]
+- ['misions: [a]', ["misions: unknown key; perhaps 'missions'?"]]
+- ['missions: [{mission: {name: x}, lag: 1}]', ['missions[0].lag', "'log'"]]
+- ['missions: [{mission: {name: x}}]', ['missions[0].observations: is missing']]
+- ['defaults: {atmosfere: {}}', [defaults.atmosfere, "perhaps 'atmosphere'?"]]
+- - 'defaults: {cameras: {nadir: {window: {normal: [1.0, 0.0, 0.0]}}}}'
+  - [defaults.cameras.nadir.window]
+- ['defaults: {output: {batch_rows: many}}', [defaults.output.batch_rows]]
+- ['defaults: {output: {batch_rows: TODO}}', [CONFIG-TODO, batch_rows]]
+""")
+
+
+@pytest.mark.parametrize(("changes", "texts"), MISTAKES)
 def test_mistakes_are_refused_with_their_lines(season, changes, texts):
     with pytest.raises(ConfigError) as refusal:
         open_configs([season(changes)])

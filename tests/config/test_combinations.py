@@ -1,7 +1,5 @@
 """Values that are sound alone and do not go together: each is refused with what to do."""
 
-from __future__ import annotations
-
 import pytest
 import yaml
 
@@ -88,7 +86,7 @@ def load(tmp_path):
                 section = section.setdefault(name, {})
             section[last] = value
         path = tmp_path / "mission.yaml"
-        path.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+        path.write_text(yaml.safe_dump(values, sort_keys=False), "utf-8")
         return load_mission(path)
 
     return with_changes
@@ -221,20 +219,16 @@ def test_combinations_with_a_trajectory(refusal, changes, text):
     assert text in refusal(BY_TRAJECTORY, changes)
 
 
-@pytest.mark.parametrize(
-    ("columns", "text"),
-    [
-        (
-            "{x: x, y: y, z: z, latitude: a, longitude: b, height: c}",
-            "columns: give either latitude, longitude, height or x, y, z",
-        ),
-        (
-            "{x: x, y: y, z: z, roll: r, pitch: p, yaw: h, q_w: w, q_x: i, q_y: j, q_z: k}",
-            "columns: give either roll, pitch, yaw or q_w, q_x, q_y, q_z",
-        ),
-        ("{x: x}", "columns: x needs x, y, z"),
-    ],
-)
+COLUMNS = yaml.safe_load("""
+- - '{x: x, y: y, z: z, latitude: a, longitude: b, height: c}'
+  - 'columns: give either latitude, longitude, height or x, y, z'
+- - '{x: x, y: y, z: z, roll: r, pitch: p, yaw: h, q_w: w, q_x: i, q_y: j, q_z: k}'
+  - 'columns: give either roll, pitch, yaw or q_w, q_x, q_y, q_z'
+- ['{x: x}', 'columns: x needs x, y, z']
+""")
+
+
+@pytest.mark.parametrize(("columns", "text"), COLUMNS)
 def test_columns_of_a_trajectory_that_exclude_each_other(refusal, columns, text):
     assert text in refusal(BY_CSV, f"stations.trajectory.columns: {columns}")
 

@@ -1,11 +1,10 @@
 """What a mission file need not state, each default with its reason; and units on the way in."""
 
-from __future__ import annotations
-
 import math
 import typing
 
 import pytest
+import yaml
 
 from unbend.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
 from unbend.config.cameras import CameraSection
@@ -31,64 +30,94 @@ CAMERA = {
 }
 
 
-def defaults(model) -> dict[str, object]:
-    fields = model.model_fields.items()
-    return {name: field.default for name, field in fields if not field.is_required()}
+DEFAULTS = yaml.safe_load("""
+atmosphere:
+  standard: us1976  # the standard of the command line, too
+  adjust: true  # it is what the program is for
+  climatology: auto  # of place and season
+  index: ciddor  # Ciddor 1996 is for all wavelengths of cameras
+  wavelength_m: 0.55e-6  # the middle of the visible; the eye's maximum
+  co2_ppm: 450.0  # that of Ciddor's standard air
+  board_temperature: false  # a board is 10 K warmer than the air
+sounding:
+  format: auto
+refraction:
+  direction: remove  # apply is for planning
+  method: spherical  # plane is 1 % off at 60 degrees
+  radius_m: null  # the ellipsoid's in the azimuth of the ray
+camera:
+  pixel_origin: null  # that of the observations
+  window: null
+  principal_distance: null
+# Straight down, the top of the image towards the nose; nothing is known of the errors.
+mount:
+  roll_deg: 0.0
+  pitch_deg: 0.0
+  yaw_deg: 0.0
+  lever_arm_m: [0.0, 0.0, 0.0]
+  sigma_tilt_deg: null
+  sigma_yaw_deg: null
+window:
+  shape: plane
+  frame: camera
+  in_calibration: none
+  normal: [0.0, 0.0, 1.0]  # square to the optical axis
+log:
+  max_gap_s: 2.0  # attitude at 10 Hz: twenty lost in a row
+events_of_log:
+  delay_s: 0.0
+events_of_csv:
+  delay_s: 0.0
+observations:
+  pixel_origin: corner  # COLMAP's
+  refraction: none
+columns:
+  image: image
+  point: point
+  x_px: x_px
+  y_px: y_px
+  distance_m: null
+columns_of_csv:
+  time_utc: time_utc
+output:
+  batch_rows: 250000  # five batches in memory: 0.5 GB
+""")
+
+SECTIONS = {
+    "atmosphere": AtmosphereSection(),
+    "sounding": SoundingSection(path="a.csv"),
+    "refraction": RefractionSection(),
+    "camera": CameraSection.model_validate(CAMERA),
+    "mount": MountSection(),
+    "window": WindowSection(cabin="log"),
+    "log": LogSection(path="a.bin"),
+    "events_of_log": LogEvents(image="{n}"),
+    "events_of_csv": CsvEvents(path="a.csv"),
+    "observations": ObservationsSection(path="a.csv"),
+    "columns": ObservationsSection(path="a.csv").columns,
+    "columns_of_csv": CsvEvents(path="a.csv").columns,
+    "output": OutputSection(path="out"),
+}
+"""Sections of which a mission file states only what it must."""
 
 
-def test_the_air():
-    section = defaults(AtmosphereSection)
-    assert section["standard"] == "us1976"  # the standard of the command line, too
-    assert section["adjust"] is True  # it is what the program is for
-    assert section["climatology"] == "auto"  # of place and season
-    assert section["index"] == "ciddor"  # Ciddor 1996 holds for all wavelengths of cameras
-    assert section["wavelength_m"] == 0.55e-6  # the middle of the visible; the eye's maximum
-    assert section["co2_ppm"] == 450.0  # that of Ciddor's standard air
-    assert section["board_temperature"] is False  # a board is 10 K warmer than the air
-    assert defaults(SoundingSection)["format"] == "auto"
+@pytest.mark.parametrize("section", DEFAULTS)
+def test_what_is_not_stated(section):
+    for key, value in DEFAULTS[section].items():
+        default = getattr(SECTIONS[section], key)
+        assert default == value, key
+        assert type(default) is type(value), key
 
 
-def test_the_rays():
-    section = RefractionSection()
-    assert section.direction == "remove"  # apply is for planning
-    assert section.method == "spherical"  # plane is 1 % off at 60 degrees
-    assert section.radius_m is None  # the ellipsoid's in the azimuth of the ray
-
-
-def test_cameras_and_mount():
-    camera = CameraSection.model_validate(CAMERA)
-    assert camera.pixel_origin is None  # that of the observations
-    assert set(camera.interior_orientation.distortion) == {0.0}
-    assert camera.window is None
-    assert camera.principal_distance is None
-    built = camera.interior_orientation
-    assert (built.cx_px, built.cy_px) == (500.0, 400.0)  # corner: COLMAP's pixels
-    mount = MountSection()
-    # Straight down, the top of the image towards the nose; nothing is known of the errors.
-    assert (mount.roll_deg, mount.pitch_deg, mount.yaw_deg) == (0.0, 0.0, 0.0)
-    assert mount.lever_arm_m == [0.0, 0.0, 0.0]
-    assert (mount.sigma_tilt_deg, mount.sigma_yaw_deg) == (None, None)
-    window = WindowSection(cabin="log")
-    assert (window.shape, window.frame, window.in_calibration) == ("plane", "camera", "none")
-    assert window.normal == [0.0, 0.0, 1.0]  # square to the optical axis
-
-
-def test_inputs_and_outputs():
-    assert defaults(LogSection)["max_gap_s"] == 2.0  # attitude at 10 Hz: twenty lost in a row
-    assert defaults(LogEvents)["delay_s"] == 0.0
-    assert defaults(CsvEvents)["delay_s"] == 0.0
-    assert defaults(CsvEvents)["columns"].time_utc == "time_utc"
-    table = ObservationsSection(path="a.csv")
-    assert table.pixel_origin == "corner"  # COLMAP's
-    assert table.refraction == "none"
-    assert (table.columns.image, table.columns.point) == ("image", "point")
-    assert (table.columns.x_px, table.columns.y_px) == ("x_px", "y_px")
-    assert table.columns.distance_m is None
-    assert OutputSection(path="out").batch_rows == 250_000  # five batches in memory: 0.5 GB
+def test_pixels_of_a_camera_are_colmaps_and_its_lens_has_no_distortion():
+    camera = SECTIONS["camera"].interior_orientation
+    assert set(camera.distortion) == {0.0}
+    assert (camera.cx_px, camera.cy_px) == (500.0, 400.0)
 
 
 def test_the_ground_has_no_default_but_for_distances():
-    assert not {"height", "reference"} & set(defaults(GroundSection))
+    for name in ("height", "reference"):
+        assert GroundSection.model_fields[name].is_required()
     section = GroundSection.model_validate({"height": "from_distance"})
     assert section.reference == "msl"  # the camera's own height is above mean sea level
     assert section.from_distance
@@ -103,16 +132,16 @@ def test_the_ground_has_no_default_but_for_distances():
             GroundSection.model_validate({"height": height, "reference": "msl"})
 
 
-@pytest.mark.parametrize(
-    ("of_camera", "of_table", "cx"),
-    [
-        (None, "corner", 500.0),
-        (None, "centre", 500.5),
-        ("corner", "centre", 500.0),
-        ("centre", "corner", 500.5),
-        ("centre", "centre", 500.5),
-    ],
-)
+ORIGINS = yaml.safe_load("""
+- [null, corner, 500.0]
+- [null, centre, 500.5]
+- [corner, centre, 500.0]
+- [centre, corner, 500.5]
+- [centre, centre, 500.5]
+""")
+
+
+@pytest.mark.parametrize(("of_camera", "of_table", "cx"), ORIGINS)
 def test_the_origin_of_a_camera_goes_before_that_of_the_table(of_camera, of_table, cx):
     """COLMAP: the centre of the upper left pixel is (0.5, 0.5); OpenCV: it is (0, 0)."""
     section = CameraSection.model_validate(CAMERA | {"pixel_origin": of_camera})
@@ -121,20 +150,22 @@ def test_the_origin_of_a_camera_goes_before_that_of_the_table(of_camera, of_tabl
 
 
 def test_two_principal_distances_are_those_of_their_axes():
-    given = {key: value for key, value in CAMERA.items() if key != "f_px"}
-    given |= {
-        "fx_px": 901.0,
-        "fy_px": 899.0,
-        "distortion": {"k1": 0.1, "k2": 0.2, "k3": 0.3, "p1": 0.004, "p2": 0.005},
-    }
-    camera = CameraSection.model_validate(given).interior_orientation
+    distortion = {"k1": 0.1, "k2": 0.2, "k3": 0.3, "p1": 0.004, "p2": 0.005}
+    section = CAMERA | {"fx_px": 901.0, "fy_px": 899.0, "distortion": distortion}
+    del section["f_px"]
+    camera = CameraSection.model_validate(section).interior_orientation
     assert (camera.fx_px, camera.fy_px) == (901.0, 899.0)
     assert (camera.width_px, camera.height_px) == (1000, 800)
-    assert camera.distortion._asdict() == given["distortion"]
+    assert camera.distortion._asdict() == distortion
 
 
 def test_a_mount_in_radians():
-    section = MountSection(roll_deg=10.0, pitch_deg=20.0, yaw_deg=30.0, lever_arm_m=[1.0, 2.0, 3.0])
+    section = MountSection(
+        roll_deg=10.0,
+        pitch_deg=20.0,
+        yaw_deg=30.0,
+        lever_arm_m=[1.0, 2.0, 3.0],
+    )
     mount = section.mount
     assert mount.roll_rad == pytest.approx(0.17453292519943295, rel=1e-15)
     assert mount.pitch_rad == pytest.approx(0.3490658503988659, rel=1e-15)
@@ -172,8 +203,8 @@ def test_a_station_in_si():
     assert section.time_ns == 1_778_746_800_000_000_000  # 08:20 UTC
     without = SurfaceSection(h_msl_m=0.0, temperature_c=1.0, time_utc="2026-05-14T10:20:00")
     assert without.time_ns == 1_778_754_000_000_000_000  # without an offset: UTC
-    assert without.pressure_pa != without.pressure_pa
-    assert without.humidity != without.humidity
+    assert math.isnan(without.pressure_pa)
+    assert math.isnan(without.humidity)
 
 
 def test_the_formats_of_logs_are_those_that_can_be_read():

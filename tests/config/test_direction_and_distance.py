@@ -1,9 +1,5 @@
 """What a mission file says of slant ranges, and of the direction of the correction."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import pytest
 import yaml
 
@@ -26,15 +22,15 @@ output: {path: results}
 
 @pytest.fixture
 def load(tmp_path):
-    def attempt(**changes: Any) -> Mission:
+    def attempt(**changes) -> Mission:
         path = tmp_path / "mission.yaml"
-        path.write_text(yaml.safe_dump(yaml.safe_load(BASE) | changes), encoding="utf-8")
+        path.write_text(yaml.safe_dump(yaml.safe_load(BASE) | changes), "utf-8")
         return load_mission(path)
 
     return attempt
 
 
-def refused(load, **changes: Any) -> str:
+def refused(load, **changes) -> str:
     with pytest.raises(ConfigError) as refusal:
         load(**changes)
     assert refusal.value.code == "CONFIG-INVALID"

@@ -4,8 +4,6 @@ They keep out what is no survey (a station 60 km high, a thermometer off by 300 
 key in hectopascals), and nothing that is one.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic.fields import FieldInfo

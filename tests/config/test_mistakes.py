@@ -1,7 +1,5 @@
 """Spoilt mission files: each mistake in a sentence of one's own, none in pydantic's words."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re
@@ -18,7 +16,7 @@ from unbend.config.mistakes import sentences_of
 from unbend.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
-BASE = yaml.safe_load((ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8"))
+BASE = yaml.safe_load((ROOT / "configs" / "sample_bin.yaml").read_text("utf-8"))
 BASE |= yaml.safe_load("""
 stations: {trajectory: {path: a.pos, point: antenna, lever_arm_m: [0.0, 0.0, 0.0]}}
 atmosphere:
@@ -42,7 +40,7 @@ WRONG: tuple[Any, ...] = (None, True, -1e9, 3.5, "no such word", [1, "x"], {"nme
 Place = tuple[Any, ...]
 
 
-def places(values: Any, above: Place = ()) -> list[Place]:
+def places(values, above: Place = ()) -> list[Place]:
     """The places of all values, of sections too, as keys and numbers of list items."""
     items: Any = ()
     if isinstance(values, dict):
@@ -55,13 +53,13 @@ def places(values: Any, above: Place = ()) -> list[Place]:
     return inner
 
 
-def spoilt(place: Place, value: Any) -> dict[str, Any]:
+def spoilt(place: Place, value) -> dict[str, Any]:
     tree = copy.deepcopy(BASE)
     spoil(tree, place, value)
     return tree
 
 
-def spoil(tree: Any, place: Place, value: Any) -> None:
+def spoil(tree, place: Place, value):
     *above, last = place
     for key in above:
         tree = tree[key]
@@ -75,7 +73,7 @@ def refusal(tmp_path):
     def attempt(content: dict[str, Any] | str) -> ConfigError:
         text = content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False)
         path = tmp_path / "mission.yaml"
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, "utf-8")
         with pytest.raises(ConfigError) as caught:
             load_mission(path)
         return caught.value
@@ -85,7 +83,7 @@ def refusal(tmp_path):
 
 def test_the_file_that_is_spoilt_is_sound(tmp_path):
     path = tmp_path / "mission.yaml"
-    path.write_text(yaml.safe_dump(BASE), encoding="utf-8")
+    path.write_text(yaml.safe_dump(BASE), "utf-8")
     load_mission(path)
 
 
@@ -116,33 +114,27 @@ def test_the_phrases_are_what_pydantic_says():
     assert FOREIGN.search(str(caught.value))
 
 
-@pytest.mark.parametrize(
-    ("place", "value", "says"),
-    [
-        (
-            "cameras.nadir.fx_px",
-            "wide",
-            "line 20: cameras.nadir.fx_px: 'wide' is not allowed; use a number from 10 to "
-            "1000000 [px], as 20000.0",
-        ),
-        (
-            "ground.reference",
-            "sea",
-            "ground.reference: 'sea' is not allowed; use msl | ellipsoid | relative",
-        ),
-        ("mission.name", "a b", "use letters, digits, dots, dashes and underscores"),
-        ("cameras.nadir.width_px", 3.5, "use a whole number above 0 to 1000000 [px]"),
-        ("log.channels.pressure", 5, "use text or a section {name, unit}, as BARO[0]"),
-        (
-            "mount.nadir.lever_arm_m",
-            [1.0],
-            "a list of 1 is not allowed; use a list of 3: each a number from -100 to 100 [m]",
-        ),
-        ("output", None, "output: is empty; use a section {path, batch_rows}"),
-        ("ground.height", {"colum": "x"}, "ground.height.colum: unknown key; perhaps 'column'?"),
-        ("cameras.nadir.window", {"cabin": {"presure": 3}}, "presure: unknown key"),
-    ],
-)
+WRONG_VALUES = yaml.safe_load("""
+- - cameras.nadir.fx_px
+  - wide
+  - "line 20: cameras.nadir.fx_px: 'wide' is not allowed; use a number from 10 to 1000000 [px],
+    as 20000.0"
+- - ground.reference
+  - sea
+  - "ground.reference: 'sea' is not allowed; use msl | ellipsoid | relative"
+- [mission.name, a b, 'use letters, digits, dots, dashes and underscores']
+- [cameras.nadir.width_px, 3.5, 'use a whole number above 0 to 1000000 [px]']
+- [log.channels.pressure, 5, 'use text or a section {name, unit}, as BARO[0]']
+- - mount.nadir.lever_arm_m
+  - [1.0]
+  - 'a list of 1 is not allowed; use a list of 3: each a number from -100 to 100 [m]'
+- [output, null, 'output: is empty; use a section {path, batch_rows}']
+- [ground.height, {colum: 'x'}, "ground.height.colum: unknown key; perhaps 'column'?"]
+- [cameras.nadir.window, {cabin: {presure: 3}}, 'presure: unknown key']
+""")
+
+
+@pytest.mark.parametrize(("place", "value", "says"), WRONG_VALUES)
 def test_a_mistake_names_the_key_what_stands_there_and_what_may(place, value, says, refusal):
     error = refusal(spoilt(tuple(place.split(".")), value))
     assert says in error.what
@@ -219,21 +211,21 @@ def test_what_a_window_refuses_is_said_of_its_key(window, key, refusal):
     assert refusal(tree).what.startswith(f"line {line}: cameras.nadir.window.{key}: ")
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "says"),
-    [
-        ("k1: -0.018000", "k1: -0,018", "'-0,018' has a decimal comma: write -0.018"),
-        ("p2: -0.000100}", "p2: -0,0001}", "'-0,0001' has a decimal comma: write -0.0001"),
-        ("undulation_m: 47.6", "undulation_m: 47,6", "'47,6' has a decimal comma: write 47.6"),
-        ("roll_deg: 0.0", "roll_deg: -0,5", "'-0,5' has a decimal comma: write -0.5"),
-        ("fx_px: 20000.0", "fx_px: 20.000,5", "'20.000,5' has a decimal comma: write 20000.5"),
-        ("fx_px: 20000.0", "fx_px: 20,000", "'20,000' has a comma: write 20.000 or 20000"),
-        ("[0.35, 0.1, 0.6]", "[0,35, 0,1, 0,6]", "numbers have a decimal point, not a comma"),
-    ],
-)
+DECIMAL_COMMAS = yaml.safe_load("""
+- ['k1: -0.018000', 'k1: -0,018', "'-0,018' has a decimal comma: write -0.018"]
+- ['p2: -0.000100}', 'p2: -0,0001}', "'-0,0001' has a decimal comma: write -0.0001"]
+- ['undulation_m: 47.6', 'undulation_m: 47,6', "'47,6' has a decimal comma: write 47.6"]
+- ['roll_deg: 0.0', 'roll_deg: -0,5', "'-0,5' has a decimal comma: write -0.5"]
+- ['fx_px: 20000.0', 'fx_px: 20.000,5', "'20.000,5' has a decimal comma: write 20000.5"]
+- ['fx_px: 20000.0', 'fx_px: 20,000', "'20,000' has a comma: write 20.000 or 20000"]
+- ['[0.35, 0.1, 0.6]', '[0,35, 0,1, 0,6]', 'numbers have a decimal point, not a comma']
+""")
+
+
+@pytest.mark.parametrize(("before", "after", "says"), DECIMAL_COMMAS)
 def test_a_decimal_comma_is_named_wherever_a_number_is_expected(before, after, says, refusal):
     """In braces YAML takes the comma for the end of the number: the text is looked at."""
-    text = (ROOT / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
+    text = (ROOT / "configs" / "sample_bin.yaml").read_text("utf-8")
     assert before in text
     error = refusal(text.replace(before, after, 1))
     assert says in error.what
@@ -241,52 +233,50 @@ def test_a_decimal_comma_is_named_wherever_a_number_is_expected(before, after, s
     assert f"{line}" in f"{error.where} {error.what}"
 
 
-@pytest.mark.parametrize(
-    ("key", "says"),
-    [
-        ("f_mm", "metric.focal_mm"),
-        ("focal_length_mm", "metric.focal_mm"),
-        ("focal_length", "in pixels is f_px; .* metric.focal_mm"),
-        ("pixel_size_um", "metric.pixel_um"),
-        ("pixel_pitch", "metric.pixel_um"),
-        ("sensor_width_mm", "metric.format_mm"),
-        ("cx_mm", "metric.ppa_mm"),
-    ],
-)
+MILLIMETRES = yaml.safe_load("""
+- [f_mm, metric.focal_mm]
+- [focal_length_mm, metric.focal_mm]
+- [focal_length, 'in pixels is f_px; .* metric.focal_mm']
+- [pixel_size_um, metric.pixel_um]
+- [pixel_pitch, metric.pixel_um]
+- [sensor_width_mm, metric.format_mm]
+- [cx_mm, metric.ppa_mm]
+""")
+
+
+@pytest.mark.parametrize(("key", "says"), MILLIMETRES)
 def test_a_camera_in_millimetres_is_led_to_its_section(key, says, refusal):
     error = refusal(spoilt(("cameras", "nadir", key), 80.0))
     assert error.code == "CONFIG-UNKNOWN-KEY"
     assert re.search(says, error.what)
 
 
-@pytest.mark.parametrize(
-    ("place", "says"),
-    [
-        ("mount.nadir.roll_rad", "perhaps 'roll_deg', in degrees?"),
-        ("mount.nadir.lever_arm_mm", "perhaps 'lever_arm_m', in metres?"),
-        ("mission.undulation_ft", "perhaps 'undulation_m', in metres?"),
-        ("cameras.nadir.fx_pix", "perhaps 'fx_px'?"),
-    ],
-)
+OTHER_UNITS = yaml.safe_load("""
+- [mount.nadir.roll_rad, "perhaps 'roll_deg', in degrees?"]
+- [mount.nadir.lever_arm_mm, "perhaps 'lever_arm_m', in metres?"]
+- [mission.undulation_ft, "perhaps 'undulation_m', in metres?"]
+- [cameras.nadir.fx_pix, "perhaps 'fx_px'?"]
+""")
+
+
+@pytest.mark.parametrize(("place", "says"), OTHER_UNITS)
 def test_a_key_in_another_unit_is_led_to_the_key_and_its_unit(place, says, refusal):
     error = refusal(spoilt(tuple(place.split(".")), 1.0))
     assert says in error.what
 
 
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        (
-            "    nadir: {channel: CAM[0], image: x}",
-            'put quotes around a text with brackets or braces: "CAM[0]"',
-        ),
-        ("    nadir: {channel: CAM, image: n_{index:05d}}", '"n_{index:05d}"'),
-        ("    image: {index:05d}.jpg", '"{index:05d}.jpg"'),
-        ("    image: @x", "put quotes around a text that begins with this character"),
-        ("    image: *.jpg", "put quotes around a text that begins with * or &"),
-        ('    path: "..\\logs\\flight.bin"', "write / or single quotes"),
-    ],
-)
+WITHOUT_QUOTES = yaml.safe_load(r"""
+- - '    nadir: {channel: CAM[0], image: x}'
+  - 'put quotes around a text with brackets or braces: "CAM[0]"'
+- ['    nadir: {channel: CAM, image: n_{index:05d}}', '"n_{index:05d}"']
+- ['    image: {index:05d}.jpg', '"{index:05d}.jpg"']
+- ['    image: @x', put quotes around a text that begins with this character]
+- ['    image: *.jpg', 'put quotes around a text that begins with * or &']
+- ["    path: \"..\\logs\\flight.bin\"", write / or single quotes]
+""")
+
+
+@pytest.mark.parametrize(("line", "says"), WITHOUT_QUOTES)
 def test_a_text_that_needs_quotes_is_shown_with_them(line, says, refusal):
     error = refusal(f"events:\n  log:\n{line}\n")
     assert error.code == "CONFIG-YAML"
@@ -342,7 +332,7 @@ def test_a_folder_in_the_place_of_a_mission_file_is_named(tmp_path):
         load_mission(tmp_path)
     assert "is a folder, not a mission file" in refusal.value.what
     assert "unbend init" in refusal.value.remedy
-    (tmp_path / "m.yaml").write_text("mission: {name: a}\n", encoding="utf-8")
+    (tmp_path / "m.yaml").write_text("mission: {name: a}\n", "utf-8")
     with refused("CONFIG-UNREADABLE") as refusal:
         load_mission(tmp_path)
     assert refusal.value.remedy == f"name its mission files: {tmp_path}/*.yaml"
@@ -351,8 +341,8 @@ def test_a_folder_in_the_place_of_a_mission_file_is_named(tmp_path):
 def test_results_in_the_place_of_a_mission_file_are_named(tmp_path):
     run = tmp_path / "results"
     run.mkdir()
-    (run / "manifest.json").write_text('{"manifest_version": 1}', encoding="utf-8")
-    (run / "report.html").write_text("<html>", encoding="utf-8")
+    (run / "manifest.json").write_text('{"manifest_version": 1}', "utf-8")
+    (run / "report.html").write_text("<html>", "utf-8")
     for path, kind in (
         (run, "the folder of the results of a run"),
         (run / "manifest.json", "a file of the results of a run"),
@@ -368,7 +358,7 @@ def test_a_mission_file_of_another_ending_is_read(tmp_path):
     tree = json.dumps(BASE)
     for name in ("mission.json", "mission.txt.yaml", "mission"):
         path = tmp_path / name
-        path.write_text(tree, encoding="utf-8")
+        path.write_text(tree, "utf-8")
         assert load_mission(path).mission.name == BASE["mission"]["name"]
 
 

@@ -1,7 +1,5 @@
 """A pipe in the place of a file is refused: nobody may ever write into it."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The JSON schema: every key has a text, numbers a unit, and it takes what the models take."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -21,9 +19,9 @@ KEYS = {key.path: key for key in mission_keys()}
 
 def missions() -> list[str]:
     """The mission files of configs, and those in the documents."""
-    texts = [path.read_text(encoding="utf-8") for path in sorted(ROOT.glob("configs/*.yaml"))]
+    texts = [path.read_text("utf-8") for path in sorted(ROOT.glob("configs/*.yaml"))]
     for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")):
-        text = page.read_text(encoding="utf-8")
+        text = page.read_text("utf-8")
         for block in re.findall(r"^```yaml\n(.*?)^```", text, re.S | re.M):
             if "output:" in block and "mission:" in block and "missions:" not in block:
                 texts.append(block)
@@ -73,8 +71,9 @@ def test_keys_of_numbers_have_a_unit_and_its_name_says_the_same():
 
 
 def test_every_default_is_stated_and_every_example_is_taken():
-    of_sections = {"properties", "required", "type", "additionalProperties"}
-    whole = {key: value for key, value in mission_schema().items() if key not in of_sections}
+    whole = dict(mission_schema())
+    for key in ("properties", "required", "type", "additionalProperties"):
+        whole.pop(key, None)
     for path, key in KEYS.items():
         assert key.default, path
         names = path.split(".")
@@ -88,7 +87,7 @@ def test_every_default_is_stated_and_every_example_is_taken():
 
 @pytest.mark.parametrize("text", MISSIONS, ids=lambda t: re.search(r"name: *(\S+)", t)[1])
 def test_missions_of_configs_and_of_the_documents_are_valid(text, validator, tmp_path):
-    (tmp_path / "mission.yaml").write_text(text, encoding="utf-8")
+    (tmp_path / "mission.yaml").write_text(text, "utf-8")
     load_mission(tmp_path / "mission.yaml")
     values = yaml.load(text, MissionLoader)
     assert [str(error) for error in validator.iter_errors(values)] == []
@@ -118,7 +117,7 @@ def test_unknown_keys_are_refused_at_every_level_as_the_models_do(validator, tmp
             inner = inner[key]
         inner["no_such_key"] = 1
         assert list(validator.iter_errors(spoilt)), place
-        (tmp_path / "mission.yaml").write_text(yaml.safe_dump(spoilt), encoding="utf-8")
+        (tmp_path / "mission.yaml").write_text(yaml.safe_dump(spoilt), "utf-8")
         with pytest.raises(ConfigError, match="no_such_key"):
             load_mission(tmp_path / "mission.yaml")
         tried += 1

@@ -1,7 +1,5 @@
 """What a mission file says of windows and lenses, and what it may not say."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from typing import Any
@@ -22,7 +20,7 @@ LENS = {
 }
 
 
-def config(window: dict[str, Any] | None = None, **camera: Any) -> dict[str, Any]:
+def config(window: dict[str, Any] | None = None, **camera) -> dict[str, Any]:
     """A mission whose camera has a window, and other keys."""
     content = yaml.safe_load("""
 mission: {name: survey}
@@ -54,7 +52,7 @@ def load(tmp_path):
 
     def from_file(content: dict[str, Any]) -> Mission:
         path = tmp_path / "mission.yaml"
-        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        path.write_text(yaml.safe_dump(content, sort_keys=False), "utf-8")
         return load_mission(path)
 
     return from_file
@@ -87,26 +85,24 @@ def test_a_normal_becomes_a_unit_vector(load):
     assert (window.cabin.source, window.in_calibration) == (SCHEDULE, "glass")
 
 
-@pytest.mark.parametrize(
-    ("window", "words"),
-    [
-        ("{}", "window.cabin: the air behind the window is missing"),
-        ("cabin: null", "window.cabin: the air behind the window is missing"),
-        (
-            "{shape: plane, normal: [0.0, 0.1, 1.0]}",
-            "window.cabin: the air behind the window is missing",
-        ),
-        ("{cabin: log, normal: [0.0, 0.0, 0.0]}", "normal of a window has the length 0"),
-        ("{cabin: log, normal: [0.0, 0.0, 0.0], frame: body}", "has the length 0"),
-        ("{cabin: log, normal: [0.0, .nan, 1.0]}", "normal[1]: nan is not allowed"),
-        ("{cabin: log, normal: [0.0, 1.0]}", "use a list of 3"),
-        ("{cabin: log, normal: [0.0, 1.0, 0.0]}", "third component is positive"),
-        ("{cabin: log, normal: [0.0, 0.0, -1.0]}", "third component is positive"),
-        ("{cabin: log, normal: [0.0, 0.0, -1.0], frame: body}", "a normal away"),
-        ("{shape: spherical, normal: [0.0, 0.1, 1.0]}", "has no normal"),
-        ("{shape: spherical, frame: body}", "has no frame"),
-    ],
-)
+IMPOSSIBLE_WINDOWS = yaml.safe_load("""
+- ['{}', 'window.cabin: the air behind the window is missing']
+- ['cabin: null', 'window.cabin: the air behind the window is missing']
+- - '{shape: plane, normal: [0.0, 0.1, 1.0]}'
+  - 'window.cabin: the air behind the window is missing'
+- ['{cabin: log, normal: [0.0, 0.0, 0.0]}', normal of a window has the length 0]
+- ['{cabin: log, normal: [0.0, 0.0, 0.0], frame: body}', has the length 0]
+- ['{cabin: log, normal: [0.0, .nan, 1.0]}', 'normal[1]: nan is not allowed']
+- ['{cabin: log, normal: [0.0, 1.0]}', use a list of 3]
+- ['{cabin: log, normal: [0.0, 1.0, 0.0]}', third component is positive]
+- ['{cabin: log, normal: [0.0, 0.0, -1.0]}', third component is positive]
+- ['{cabin: log, normal: [0.0, 0.0, -1.0], frame: body}', a normal away]
+- ['{shape: spherical, normal: [0.0, 0.1, 1.0]}', has no normal]
+- ['{shape: spherical, frame: body}', has no frame]
+""")
+
+
+@pytest.mark.parametrize(("window", "words"), IMPOSSIBLE_WINDOWS)
 def test_windows_that_cannot_be(load, window, words):
     assert words in refusal(load, config(yaml.safe_load(window)))
 
@@ -198,22 +194,18 @@ def test_an_opening_in_si(load):
     assert not camera.needs_cabin_from_log
 
 
-@pytest.mark.parametrize(
-    ("keys", "words"),
-    [
-        ("opening: {}", "opening.warmer_k: is missing"),
-        ("opening: {warmer_k: 70.0}", "opening.warmer_k"),
-        ("opening: {warmer_k: 5.0, normal: [0.0, 0.0, -1.0]}", "third component"),
-        (
-            "opening: {warmer_k: 5.0, frame: body, normal: [1.0, 0.0, 0.0]}",
-            "the opening of camera 'nadir' has a normal away",
-        ),
-        (
-            "{opening: {warmer_k: 5.0}, window: {cabin: log}}",
-            "window and opening: the camera looks through only one of them",
-        ),
-    ],
-)
+IMPOSSIBLE_OPENINGS = yaml.safe_load("""
+- ['opening: {}', 'opening.warmer_k: is missing']
+- ['opening: {warmer_k: 70.0}', opening.warmer_k]
+- ['opening: {warmer_k: 5.0, normal: [0.0, 0.0, -1.0]}', third component]
+- - 'opening: {warmer_k: 5.0, frame: body, normal: [1.0, 0.0, 0.0]}'
+  - "the opening of camera 'nadir' has a normal away"
+- - '{opening: {warmer_k: 5.0}, window: {cabin: log}}'
+  - 'window and opening: the camera looks through only one of them'
+""")
+
+
+@pytest.mark.parametrize(("keys", "words"), IMPOSSIBLE_OPENINGS)
 def test_openings_that_cannot_be(load, keys, words):
     assert words in refusal(load, config(**yaml.safe_load(keys)))
 

@@ -8,8 +8,6 @@ tests. Where that fails, the first dependencies of the list are held to what is 
 list or a quarter at a time, until one is found that makes the difference.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re
@@ -50,7 +48,7 @@ def named(requirement: str) -> str:
 
 def requirements() -> list[str]:
     """What pyproject.toml asks for by name, the program's own first, without other tools."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = dict(project["optional-dependencies"])
     tools = [tool for tool in extras.pop("test") if named(tool) in TOOLS]
     return [*project["dependencies"], *chain.from_iterable(extras.values()), *tools]
@@ -97,12 +95,12 @@ class Trial:
     def holding(self, held: Versions) -> Versions:
         """The resolution of this trial with some versions held."""
         file = self.venv / "held.txt"
-        file.write_text(pinned(held), encoding="utf-8")
+        file.write_text(pinned(held), "utf-8")
         return self.resolved(RESOLUTIONS[self.which], file)
 
-    def install(self, versions: Versions) -> None:
+    def install(self, versions: Versions):
         file = self.venv / "versions.txt"
-        file.write_text(pinned(versions), encoding="utf-8")
+        file.write_text(pinned(versions), "utf-8")
         self.uv("pip", "sync", "--only-binary", ":all:", file)
 
     def failure(self) -> str | None:
@@ -170,7 +168,7 @@ def at_fault(trial: Trial, locked: Versions, suspects: Sequence[str]) -> str | N
     return suspects[works - 1]
 
 
-def main() -> None:
+def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("which", choices=RESOLUTIONS)
     parser.add_argument("--python", default=sys.executable)

@@ -8,8 +8,6 @@ may only fall; ``--write`` refuses to raise one. ``--moved OLD NEW`` with it tak
 of a module that was renamed. A figure is a hint where to look, not the goal: cold readers decide.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import io
@@ -74,8 +72,27 @@ NO_CODE = {
     tokenize.ENDMARKER,
 }
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
-COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+DOCUMENTED = (ast.Module, ast.ClassDef, *FUNCTIONS)
+COMPREHENSIONS = (
+    ast.ListComp,
+    ast.SetComp,
+    ast.DictComp,
+    ast.GeneratorExp,
+)
+LOOPS = (
+    ast.For,
+    ast.AsyncFor,
+    ast.While,
+    ast.ExceptHandler,
+    ast.IfExp,
+)
 CONDITIONS = (ast.Compare, ast.BoolOp)
+ORDERS = (
+    ast.Gt,
+    ast.GtE,
+    ast.Lt,
+    ast.LtE,
+)
 
 
 class Place(NamedTuple):
@@ -128,7 +145,7 @@ def limit_of(figure: str, module: str) -> float:
 
 def measure_module(path: Path, name: str) -> Module:
     """All figures of a module but those of ruff."""
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text("utf-8")
     tree = ast.parse(text)
     tokens, code_lines = count_tokens(text, tree)
     nodes = list(ast.walk(tree))
@@ -137,9 +154,9 @@ def measure_module(path: Path, name: str) -> Module:
         tokens=tokens,
         code_lines=code_lines,
         lines=text.count("\n"),
-        functions=sum(isinstance(node, FUNCTIONS) for node in nodes),
-        comprehensions=sum(isinstance(node, COMPREHENSIONS) for node in nodes),
-        conditional_expressions=sum(isinstance(node, ast.IfExp) for node in nodes),
+        functions=count_kinds(nodes, FUNCTIONS),
+        comprehensions=count_kinds(nodes, COMPREHENSIONS),
+        conditional_expressions=count_kinds(nodes, (ast.IfExp,)),
     )
     module.places += skipped_formatting(text, tree)
     for node in nodes:
@@ -147,15 +164,21 @@ def measure_module(path: Path, name: str) -> Module:
     return module
 
 
+def count_kinds(nodes: Iterable[ast.AST], kinds: tuple[type[ast.AST], ...]) -> int:
+    """How many nodes are of these kinds."""
+    return sum(isinstance(node, kinds) for node in nodes)
+
+
 def docstring_lines(tree: ast.Module) -> set[int]:
     """Numbers of the lines that docstrings take."""
     lines: set[int] = set()
     for node in ast.walk(tree):
-        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+        if not isinstance(node, DOCUMENTED):
             continue
         if ast.get_docstring(node, clean=False) is not None:
-            first = node.body[0]
-            lines.update(range(first.lineno, (first.end_lineno or first.lineno) + 1))
+            docstring = node.body[0]
+            end = docstring.end_lineno or docstring.lineno
+            lines.update(range(docstring.lineno, end + 1))
     return lines
 
 
@@ -174,12 +197,14 @@ def count_tokens(text: str, tree: ast.Module) -> tuple[int, int]:
 
 def skipped_formatting(text: str, tree: ast.Module) -> Iterator[Place]:
     """``# fmt: skip`` behind a statement that is no table of numbers or words."""
-    skipped = {
-        number for number, line in enumerate(text.splitlines(), start=1) if "# fmt: skip" in line
-    }
+    lines = text.splitlines()
+    reported = set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.stmt) and node.end_lineno in skipped and not is_table(node):
-            skipped.discard(node.end_lineno)
+        if not isinstance(node, ast.stmt) or is_table(node):
+            continue
+        end = node.end_lineno or node.lineno
+        if "# fmt: skip" in lines[end - 1] and end not in reported:
+            reported.add(end)
             yield Place("fmt_skip", node.lineno, "# fmt: skip")
 
 
@@ -188,8 +213,8 @@ def is_table(node: ast.stmt) -> bool:
     if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
         return False
     parts = list(ast.walk(node.value))
-    constants = sum(isinstance(part, ast.Constant) for part in parts)
-    calls = sum(isinstance(part, ast.Call) for part in parts)
+    constants = count_kinds(parts, (ast.Constant,))
+    calls = count_kinds(parts, (ast.Call,))
     return constants >= 12 and calls <= 2
 
 
@@ -205,24 +230,14 @@ def broken_rules(node: ast.AST) -> Iterator[Place]:
         yield from rules_of_loop(node.iter)
     elif isinstance(node, ast.Expr) and isinstance(node.value, ast.IfExp | ast.BoolOp):
         yield Place("expression_statement", node.lineno, ast.unparse(node))
-    elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
-        if is_condition(node.left) and is_sequence(node.right):
-            yield Place("condition_times", node.lineno, ast.unparse(node))
-        if is_condition(node.right) and is_sequence(node.left):
-            yield Place("condition_times", node.lineno, ast.unparse(node))
+    elif isinstance(node, ast.BinOp):
+        yield from rules_of_product(node)
     elif isinstance(node, ast.Slice):
-        bounds = [bound for bound in (node.lower, node.upper, node.step) if bound is not None]
-        if any(holds_condition(bound) for bound in bounds):
-            yield Place("slice_by_condition", bounds[0].lineno, ast.unparse(node))
+        yield from rules_of_slice(node)
     elif isinstance(node, ast.Compare):
-        sides = [node.left, *node.comparators]
-        ordered = any(isinstance(op, ast.Gt | ast.GtE | ast.Lt | ast.LtE) for op in node.ops)
-        if ordered and any(is_condition(side) for side in sides):
-            yield Place("implication_by_comparison", node.lineno, ast.unparse(node))
+        yield from rules_of_comparison(node)
     elif isinstance(node, ast.Call):
-        positional = [word for word in node.args if not isinstance(word, ast.Starred)]
-        if len(positional) > MAX_POSITIONAL:
-            yield Place("positional_arguments", node.lineno, ast.unparse(node.func))
+        yield from rules_of_call(node)
     elif isinstance(node, ast.Import | ast.ImportFrom):
         yield from rules_of_import(node)
     elif isinstance(node, FUNCTIONS):
@@ -234,8 +249,8 @@ def rules_of_assignment(node: ast.Assign) -> Iterator[Place]:
     target = node.targets[0]
     yield from rules_of_unpacking(target)
     if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
-        written = {ast.unparse(part) for part in target.elts}
-        read = {ast.unparse(part) for part in node.value.elts}
+        written = set(map(ast.unparse, target.elts))
+        read = set(map(ast.unparse, node.value.elts))
         if not read <= written:  # an exchange of values is one thought
             yield Place("parallel_assignment", node.lineno, ast.unparse(target))
 
@@ -250,6 +265,38 @@ def rules_of_loop(iterable: ast.expr) -> Iterator[Place]:
     """``for x in (xs if condition else ())``."""
     if isinstance(iterable, ast.IfExp):
         yield Place("conditional_loop", iterable.lineno, ast.unparse(iterable))
+
+
+def rules_of_product(node: ast.BinOp) -> Iterator[Place]:
+    """``"text" * condition``."""
+    if not isinstance(node.op, ast.Mult):
+        return
+    for factor, condition in ((node.left, node.right), (node.right, node.left)):
+        if is_sequence(factor) and is_condition(condition):
+            yield Place("condition_times", node.lineno, ast.unparse(node))
+
+
+def rules_of_slice(node: ast.Slice) -> Iterator[Place]:
+    """``values[condition:]``."""
+    for bound in (node.lower, node.upper, node.step):
+        if bound is not None and holds_condition(bound):
+            yield Place("slice_by_condition", bound.lineno, ast.unparse(node))
+            return
+
+
+def rules_of_comparison(node: ast.Compare) -> Iterator[Place]:
+    """``condition <= condition``."""
+    has_order = count_kinds(node.ops, ORDERS)
+    sides = (node.left, *node.comparators)
+    if has_order and any(map(is_condition, sides)):
+        yield Place("implication_by_comparison", node.lineno, ast.unparse(node))
+
+
+def rules_of_call(node: ast.Call) -> Iterator[Place]:
+    """More arguments than a reader counts."""
+    positional = len(node.args) - count_kinds(node.args, (ast.Starred,))
+    if positional > MAX_POSITIONAL:
+        yield Place("positional_arguments", node.lineno, ast.unparse(node.func))
 
 
 def rules_of_import(node: ast.Import | ast.ImportFrom) -> Iterator[Place]:
@@ -276,17 +323,19 @@ def rules_of_function(node: ast.FunctionDef | ast.AsyncFunctionDef) -> Iterator[
 
 def is_condition(node: ast.expr) -> bool:
     """Whether an expression is a comparison, ``and``, ``or`` or ``not``."""
-    return isinstance(node, CONDITIONS) or (
-        isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
-    )
+    if isinstance(node, ast.UnaryOp):
+        return isinstance(node.op, ast.Not)
+    return isinstance(node, CONDITIONS)
 
 
 def holds_condition(node: ast.expr) -> bool:
-    """Whether a condition stands anywhere in an expression."""
-    return any(
-        isinstance(part, ast.expr) and (is_condition(part) or isinstance(part, ast.IfExp))
-        for part in ast.walk(node)
-    )
+    """Whether a condition is anywhere in an expression."""
+    for part in ast.walk(node):
+        if isinstance(part, ast.IfExp):
+            return True
+        if isinstance(part, ast.expr) and is_condition(part):
+            return True
+    return False
 
 
 def is_sequence(node: ast.expr) -> bool:
@@ -321,41 +370,47 @@ def cognitive_complexity(function: ast.AST) -> int:
     Each break of the straight reading counts 1, and 1 more for each structure that it is nested
     in; ``elif``, ``else`` and a chain of ``and`` or ``or`` count 1.
     """
-    return sum(complexity_of(child, 0) for child in ast.iter_child_nodes(function))
+    return complexity_of_all(ast.iter_child_nodes(function), 0)
 
 
 def complexity_of(node: ast.AST, nesting: int) -> int:
     """The part of one node and all in it, at a depth of nesting."""
     if isinstance(node, ast.If):
         return complexity_of_if(node, nesting)
-    own = 0
+    total = 0
     inner = nesting
-    if isinstance(node, ast.For | ast.AsyncFor | ast.While | ast.ExceptHandler | ast.IfExp):
-        own = 1 + nesting
+    if isinstance(node, LOOPS):
+        total = 1 + nesting
         inner = nesting + 1
     elif isinstance(node, COMPREHENSIONS):
         conditions = sum(len(generator.ifs) for generator in node.generators)
-        own = len(node.generators) + conditions + nesting
+        total = len(node.generators) + conditions + nesting
         inner = nesting + 1
     elif isinstance(node, ast.BoolOp):
-        own = 1
+        total = 1
     elif isinstance(node, (*FUNCTIONS, ast.Lambda)):
         inner = nesting + 1
-    return own + sum(complexity_of(child, inner) for child in ast.iter_child_nodes(node))
+    return total + complexity_of_all(ast.iter_child_nodes(node), inner)
+
+
+def complexity_of_all(nodes: Iterable[ast.AST], nesting: int) -> int:
+    """The sum of several parts at one depth."""
+    return sum(complexity_of(node, nesting) for node in nodes)
 
 
 def complexity_of_if(node: ast.If, nesting: int) -> int:
     """``if`` with its ``elif`` and ``else``."""
+    inner = nesting + 1
     total = 1 + nesting + complexity_of(node.test, nesting)
-    total += sum(complexity_of(child, nesting + 1) for child in node.body)
-    rest = node.orelse
-    while len(rest) == 1 and isinstance(rest[0], ast.If):
-        branch = rest[0]
+    total += complexity_of_all(node.body, inner)
+    branches = node.orelse
+    while len(branches) == 1 and isinstance(branches[0], ast.If):
+        branch = branches[0]
         total += 1 + complexity_of(branch.test, nesting)
-        total += sum(complexity_of(child, nesting + 1) for child in branch.body)
-        rest = branch.orelse
-    if rest:
-        total += 1 + sum(complexity_of(child, nesting + 1) for child in rest)
+        total += complexity_of_all(branch.body, inner)
+        branches = branch.orelse
+    if branches:
+        total += 1 + complexity_of_all(branches, inner)
     return total
 
 
@@ -375,9 +430,14 @@ def measure(package: Path = PACKAGE) -> dict[str, Module]:
 
 def broken_rules_of_ruff(package: Path) -> Iterator[tuple[str, Place]]:
     """Module and place of each violation of `RUFF_RULES`."""
-    command = [sys.executable, "-m", "ruff", "check", "--exit-zero", "--output-format", "json"]
-    command += ["--extend-select", RUFF_RULES, str(package)]
-    answer = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    options = f"check --exit-zero --output-format json --extend-select {RUFF_RULES}"
+    answer = subprocess.run(
+        [sys.executable, "-m", "ruff", *options.split(), str(package)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
     for violation in json.loads(answer.stdout):
         if violation["code"] in ("E501", "invalid-syntax"):
             continue
@@ -388,7 +448,7 @@ def broken_rules_of_ruff(package: Path) -> Iterator[tuple[str, Place]]:
 
 def read_ratchet(path: Path = RATCHET) -> dict[str, dict[str, float]]:
     """Module -> figure -> what it may be at most, where that is beyond the limit."""
-    ratchet: dict[str, dict[str, float]] = json.loads(path.read_text(encoding="utf-8"))
+    ratchet: dict[str, dict[str, float]] = json.loads(path.read_text("utf-8"))
     return ratchet
 
 
@@ -396,13 +456,9 @@ def beyond_limits(modules: Iterable[Module]) -> dict[str, dict[str, float]]:
     """The figures that are beyond their limits."""
     beyond: dict[str, dict[str, float]] = {}
     for module in modules:
-        figures = {
-            name: value
-            for name, value in sorted(module.figures().items())
-            if value > limit_of(name, module.name)
-        }
-        if figures:
-            beyond[module.name] = figures
+        for figure, value in sorted(module.figures().items()):
+            if value > limit_of(figure, module.name):
+                beyond.setdefault(module.name, {})[figure] = value
     return beyond
 
 
@@ -412,8 +468,9 @@ def worse_than(
     """What is beyond its limit and beyond what the ratchet allows, one line each."""
     worse = []
     for name, figures in beyond.items():
+        before = ratchet.get(name, {})
         for figure, value in figures.items():
-            most = ratchet.get(name, {}).get(figure, limit_of(figure, name))
+            most = before.get(figure, limit_of(figure, name))
             if value > most:
                 worse.append(f"{name}: {figure} is {value:g}, at most {most:g}")
     return worse
@@ -421,29 +478,34 @@ def worse_than(
 
 def totals(modules: dict[str, Module]) -> str:
     """Sums over the house, for people; none of them is bounded."""
-    tokens = sum(module.tokens for module in modules.values())
-    code_lines = sum(module.code_lines for module in modules.values())
-    lines = sum(module.lines for module in modules.values())
-    rows = [
-        f"{len(modules)} modules, {lines} lines, {code_lines} lines of code, {tokens} tokens: "
-        f"{tokens / code_lines:.2f} tokens a line",
-        f"{sum(module.functions for module in modules.values())} functions",
-    ]
     rooms: dict[str, list[Module]] = {}
-    for module in modules.values():
-        room = module.name.partition("/")[0] if "/" in module.name else "(base)"
+    rules: Counter[str] = Counter()
+    for name, module in modules.items():
+        room, _, file = name.partition("/")
+        if not file:
+            room = "(base)"
         rooms.setdefault(room, []).append(module)
-    for room, members in sorted(rooms.items()):
-        room_tokens = sum(module.tokens for module in members)
-        room_lines = sum(module.code_lines for module in members)
-        density = room_tokens / max(room_lines, 1)
-        rows.append(
-            f"  {room:12} {len(members):3} modules {room_lines:6} lines of code "
-            f"{room_tokens:7} tokens {density:6.2f} a line"
-        )
-    rules = Counter(place.rule for module in modules.values() for place in module.places)
+        rules.update(place.rule for place in module.places)
+    lines = sum(module.lines for module in modules.values())
+    functions = sum(module.functions for module in modules.values())
+    rows = [
+        row_of("all", list(modules.values())),
+        f"{lines} lines, {functions} functions",
+    ]
+    rows += [row_of(room, members) for room, members in sorted(rooms.items())]
     rows += [f"  {rule}: {count}" for rule, count in sorted(rules.items())]
     return "\n".join(rows)
+
+
+def row_of(room: str, modules: list[Module]) -> str:
+    """The sums of a room."""
+    tokens = sum(module.tokens for module in modules)
+    code_lines = sum(module.code_lines for module in modules)
+    density = tokens / max(code_lines, 1)
+    return (
+        f"  {room:12} {len(modules):3} modules {code_lines:6} lines of code "
+        f"{tokens:7} tokens {density:6.2f} a line"
+    )
 
 
 def write_ratchet(
@@ -461,7 +523,7 @@ def write_ratchet(
         worse = worse_than(ratchet, beyond)
         if worse:
             return worse
-    path.write_text(json.dumps(beyond, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(beyond, indent=1, sort_keys=True) + "\n", "utf-8")
     return []
 
 
@@ -472,9 +534,13 @@ def main() -> int:
     parser.add_argument("-v", "--verbose", action="store_true", help="list the places")
     parser.add_argument("--write", action="store_true", help="renew house.json")
     parser.add_argument(
-        "--moved", nargs=2, action="append", default=[], metavar=("OLD", "NEW"),
+        "--moved",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("OLD", "NEW"),
         help="with --write: a module that was renamed",
-    )  # fmt: skip
+    )
     options = parser.parse_args()
     modules = measure(options.folder.resolve())
     print(totals(modules))
@@ -482,11 +548,12 @@ def main() -> int:
         for module in modules.values():
             for place in sorted(module.places, key=lambda place: place.line):
                 print(f"{module.name}:{place.line}: {place.rule}: {place.what}")
-    if options.write:
-        worse = write_ratchet(modules, {new: old for old, new in options.moved})
-        print(*worse, sep="\n")
-        return 1 if worse else 0
-    return 0
+    if not options.write:
+        return 0
+    moved = {new: old for old, new in options.moved}
+    worse = write_ratchet(modules, moved)
+    print(*worse, sep="\n")
+    return int(len(worse) > 0)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """Every code stands once, is explained and raised by a test; texts have the values they name."""
 
-from __future__ import annotations
-
 import ast
 import pickle
 import re
@@ -52,7 +50,7 @@ class Sent:
 def calls() -> Iterator[tuple[str, ast.Call]]:
     """All calls of the package, with their places."""
     for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Call):
                 yield f"{path.relative_to(PACKAGE)}:{node.lineno}", node
 
@@ -117,7 +115,7 @@ def said_in_tests() -> set[str]:
         code
         for path in sorted(TESTS.rglob("*.py"))
         if path.resolve() != here
-        for text in strings(ast.parse(path.read_text(encoding="utf-8")))
+        for text in strings(ast.parse(path.read_text("utf-8")))
         for code in re.findall(r"\b(?:[A-Z0-9]+(?:-[A-Z0-9]+)+|ROLE)\b", text)
     }
 
@@ -135,7 +133,7 @@ def test_every_code_is_used():
     used = {
         node.id if isinstance(node, ast.Name) else node.attr
         for path in PACKAGE.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
         if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load)
     }
     idle = {name for name, _ in defined_codes() if name.replace("-", "_") not in used}

@@ -1,7 +1,5 @@
 """Docstrings become Markdown for the API reference: lists of arguments, examples, links."""
 
-from __future__ import annotations
-
 import doctest
 
 import pytest

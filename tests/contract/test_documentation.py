@@ -3,8 +3,6 @@
 After a change of what is printed: python -m docs.snippets --write
 """
 
-from __future__ import annotations
-
 import html
 import json
 import os
@@ -71,7 +69,7 @@ def help_text(command: str) -> str:
     ids=lambda page: page.name,
 )
 def test_every_command_in_a_sentence_exists(page):
-    text = re.sub(r"^( *)```.*?^\1```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    text = re.sub(r"^( *)```.*?^\1```", "", page.read_text("utf-8"), flags=re.M | re.S)
     text = re.sub(r"\\\n *", "", text)  # a line that goes on in the next
     shown = re.findall(r"`unbend ([^`]+)`", text) + re.findall(r"^ {4}unbend ([^#\n]+)", text, re.M)
     for line in shown:
@@ -95,7 +93,7 @@ def test_the_readme_has_a_mission_in_twenty_lines():
 
 
 def test_the_angle_is_what_it_says(unbend):
-    text = (ROOT / "docs" / "pages" / "guide" / "exact.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "pages" / "guide" / "exact.md").read_text("utf-8")
     found = re.search(r"    unbend (angle .*\\\n.*)\n\s*\ngives ([0-9.]+) arcsec", text)
     assert found is not None
     words = found[1].replace("\\\n", " ").split()
@@ -104,20 +102,20 @@ def test_the_angle_is_what_it_says(unbend):
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ids=str)
 def test_links_of_the_repository_are_files(page):
-    for link in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+    for link in re.findall(r"\]\(([^)#]+)", page.read_text("utf-8")):
         assert (page.parent / link).exists(), link
 
 
 class Links(HTMLParser):
     """Everything that a page of the site links or loads, and its anchors."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.linked: list[str] = []
         self.loaded: list[str] = []
         self.anchors: set[str] = set()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]):
         values = dict(attrs)
         if values.get("id"):
             self.anchors.add(str(values["id"]))
@@ -161,7 +159,7 @@ def site(site_folder: Path) -> dict[Path, Links]:
     found = {}
     for page in site_folder.rglob("*.html"):
         found[page] = Links()
-        found[page].feed(page.read_text(encoding="utf-8"))
+        found[page].feed(page.read_text("utf-8"))
     return found
 
 
@@ -187,39 +185,39 @@ def test_the_site_loads_nothing_from_a_network(site, site_folder):
     loaded = {link for links in site.values() for link in links.loaded}
     assert not [link for link in loaded if urlsplit(link).scheme or link.startswith("//")]
     for sheet in site_folder.rglob("*.css"):
-        assert not re.search(r"url\(['\"]?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet
+        assert not re.search(r"url\(['\"]?(https?:)?//", sheet.read_text("utf-8")), sheet
 
 
 def test_equations_are_mathml(site):
     """No equation is left to a script."""
     for page in site:
-        text = page.read_text(encoding="utf-8")
+        text = page.read_text("utf-8")
         assert 'class="arithmatex"' not in text, page.name
 
 
 def entries_of_the_search(site_folder: Path) -> list[dict[str, str]]:
     """What the search of the site looks through: a place, a title and a text each."""
-    index = json.loads((site_folder / "search" / "search_index.json").read_text(encoding="utf-8"))
+    index = json.loads((site_folder / "search" / "search_index.json").read_text("utf-8"))
     entries: list[dict[str, str]] = index["docs"]
     return entries
 
 
-@pytest.mark.parametrize(
-    ("word", "page"),
-    [
-        ("GCP", "guide/control.html"),
-        ("Agisoft", "formats/metashape_in.html"),
-        ("Metashape", "formats/metashape_in.html"),
-        ("conda", "install.html"),
-        ("docker", "install.html"),
-        ("notebook", "notebooks/arrays.html"),
-        ("Jupyter", "notebooks/block.html"),
-        ("EXIF", "formats/camera_events.html"),
-        ("EVENTS-AMBIGUOUS", "codes/events.html"),
-        ("refraction_angle", "api/index.html"),
-        ("pyproject", "install.html"),
-    ],
-)
+FOUND_ON = yaml.safe_load("""
+- [GCP, guide/control.html]
+- [Agisoft, formats/metashape_in.html]
+- [Metashape, formats/metashape_in.html]
+- [conda, install.html]
+- [docker, install.html]
+- [notebook, notebooks/arrays.html]
+- [Jupyter, notebooks/block.html]
+- [EXIF, formats/camera_events.html]
+- [EVENTS-AMBIGUOUS, codes/events.html]
+- [refraction_angle, api/index.html]
+- [pyproject, install.html]
+""")
+
+
+@pytest.mark.parametrize(("word", "page"), FOUND_ON)
 def test_the_search_finds_a_word_on_its_page(word, page, site_folder):
     found = {
         entry["location"].partition("#")[0]
@@ -242,7 +240,7 @@ def test_the_glossary_names_things_as_other_programs_do(site_folder):
 def test_no_page_of_codes_is_long(site_folder):
     """One page a family: none has more than a tenth of all codes."""
     counts = {
-        page.stem: page.read_text(encoding="utf-8").count("<h2 id=")
+        page.stem: page.read_text("utf-8").count("<h2 id=")
         for page in (site_folder / "codes").glob("*.html")
     }
     assert len(counts) > 50
@@ -253,17 +251,17 @@ def test_the_first_level_of_the_navigation_has_what_is_looked_for():
     class Loader(yaml.SafeLoader):
         """mkdocs' own tags do not matter here."""
 
-    text = (ROOT / "docs" / "mkdocs.yml").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "mkdocs.yml").read_text("utf-8")
     entries = yaml.load(text, Loader)["nav"]
     first = {name for entry in entries if isinstance(entry, dict) for name in entry}
     assert first >= {"Limits", "Verification", "Glossary", "Codes", "Cost and accuracy", "Python"}
 
 
 def test_the_reference_shows_signatures_and_docstrings(site_folder):
-    text = (site_folder / "api" / "index.html").read_text(encoding="utf-8")
+    text = (site_folder / "api" / "index.html").read_text("utf-8")
     plain = html.unescape(re.sub(r"<[^>]+>", "", text))
     assert re.search(r"open_log\(\s*path: Path \| str,", plain)
     assert "Read a flight log of any format" in plain
     assert '<div class="language-pycon' in text
-    refusals = (site_folder / "api" / "errors.html").read_text(encoding="utf-8")
+    refusals = (site_folder / "api" / "errors.html").read_text("utf-8")
     assert 'id="unbend.errors.LogError"' in refusals

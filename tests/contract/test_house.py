@@ -3,8 +3,6 @@
 `house.py` beside this file measures and explains; run it with ``-v`` for the places.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys
@@ -49,13 +47,18 @@ def test_the_ratchet_names_modules_that_exist(modules):
     assert set(house.read_ratchet()) <= set(modules)
 
 
+def several(files: dict[str, list[str]]) -> dict[str, list[str]]:
+    """The names that are in several files."""
+    return {name: places for name, places in files.items() if len(places) > 1}
+
+
 def test_no_two_public_classes_have_the_same_name():
     files: dict[str, list[str]] = defaultdict(list)
     for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in ast.parse(path.read_text("utf-8")).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 files[node.name].append(path.relative_to(PACKAGE).as_posix())
-    twice = {name: places for name, places in files.items() if len(places) > 1}
+    twice = several(files)
     assert not twice, twice
 
 
@@ -63,18 +66,18 @@ def test_modules_of_the_same_name_are_the_same_thing(modules):
     files: dict[str, list[str]] = defaultdict(list)
     for name in modules:
         files[Path(name).stem].append(name)
-    twice = {name: places for name, places in files.items() if len(places) > 1}
+    twice = several(files)
     unexplained = twice.keys() - SAME_THING - {"__init__"}
     assert not unexplained, {name: twice[name] for name in unexplained}
     assert set(twice) >= SAME_THING
 
 
-def test_the_same_choices_stand_in_one_order() -> None:
+def test_the_same_choices_stand_in_one_order():
     """Python keeps one of several ``Literal`` that are equal: the schema would follow imports."""
     orders: dict[frozenset[str], str] = {}
     for path in sorted(PACKAGE.rglob("*.py")):
-        for choices in re.findall(r"Literal\[([^\]]*)\]", path.read_text(encoding="utf-8")):
-            names = frozenset(name.strip() for name in choices.split(","))
+        for choices in re.findall(r"Literal\[([^\]]*)\]", path.read_text("utf-8")):
+            names = frozenset(map(str.strip, choices.split(",")))
             assert orders.setdefault(names, choices) == choices, path
 
 
@@ -111,7 +114,7 @@ ALLOWED = {
 
 def rules_broken(source: str, folder: Path) -> set[str]:
     path = folder / "module.py"
-    path.write_text(source + "\n", encoding="utf-8")
+    path.write_text(source + "\n", "utf-8")
     return {place.rule for place in house.measure_module(path, "module.py").places}
 
 
@@ -143,8 +146,9 @@ def test_the_ratchet_only_falls(tmp_path):
     path = tmp_path / "module.py"
 
     def write(source: str) -> list[str]:
-        path.write_text(source, encoding="utf-8")
-        return house.write_ratchet({"m.py": house.measure_module(path, "m.py")}, {}, ratchet)
+        path.write_text(source, "utf-8")
+        module = house.measure_module(path, "m.py")
+        return house.write_ratchet({"m.py": module}, {}, ratchet)
 
     assert write("import a as b\nimport c as d\n") == []
     assert house.read_ratchet(ratchet) == {"m.py": {"alias": 2}}
@@ -157,9 +161,10 @@ def test_the_ratchet_only_falls(tmp_path):
 def test_a_module_that_moved_keeps_its_figures(tmp_path):
     ratchet = tmp_path / "house.json"
     path = tmp_path / "module.py"
-    path.write_text("import a as b\n", encoding="utf-8")
-    house.write_ratchet({"old.py": house.measure_module(path, "old.py")}, {}, ratchet)
+    path.write_text("import a as b\n", "utf-8")
+    before = {"old.py": house.measure_module(path, "old.py")}
     moved = {"new.py": house.measure_module(path, "new.py")}
+    house.write_ratchet(before, {}, ratchet)
     assert house.write_ratchet(moved, {}, ratchet) == ["new.py: alias is 1, at most 0"]
     assert house.write_ratchet(moved, {"new.py": "old.py"}, ratchet) == []
     assert house.read_ratchet(ratchet) == {"new.py": {"alias": 1}}

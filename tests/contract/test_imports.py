@@ -1,7 +1,5 @@
 """The rule of the rooms, and how light the package is to import."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
@@ -70,5 +68,5 @@ def test_importing_warns_of_nothing(module):
 def test_no_assert_in_the_package():
     """`python -O` must refuse what `python` refuses."""
     for path in (ROOT / "pipeline" / "unbend").rglob("*.py"):
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
             assert not line.lstrip().startswith("assert "), f"{path}:{number}"

@@ -1,7 +1,5 @@
 """The notebooks print what they show; a reader gets no path of a machine, no warning, no number."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os
@@ -15,19 +13,18 @@ import pytest
 from docs import notebooks
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = [path.stem for path in notebooks.notebooks()]
 PATHS = {path.stem: path for path in notebooks.notebooks()}
 MACHINE = re.compile(r"/(?:tmp|home|root|Users|usr|opt|work)/|[A-Z]:\\|site-packages")
 
 
 def test_there_are_two():
-    assert NAMES == ["arrays", "block"]
+    assert [*PATHS] == ["arrays", "block"]
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("nbclient") is None, reason="nbclient is missing")
 @pytest.mark.skipif(importlib.util.find_spec("ipykernel") is None, reason="ipykernel is missing")
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PATHS)
 def test_a_notebook_prints_what_it_shows(name):
     paths = [str(ROOT / "pipeline"), os.environ.get("PYTHONPATH", "")]
     done = subprocess.run(
@@ -40,9 +37,9 @@ def test_a_notebook_prints_what_it_shows(name):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PATHS)
 def test_a_notebook_is_kept_without_what_belongs_to_a_machine(name):
-    notebook = json.loads(PATHS[name].read_text(encoding="utf-8"))
+    notebook = json.loads(PATHS[name].read_text("utf-8"))
     assert set(notebook["metadata"]) == {"kernelspec", "language_info"}
     for cell in notebook["cells"]:
         assert not MACHINE.search("".join(cell["source"]))
@@ -54,7 +51,7 @@ def test_a_notebook_is_kept_without_what_belongs_to_a_machine(name):
             assert "Warning" not in output.text
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PATHS)
 def test_the_page_of_a_notebook_has_its_outputs_and_can_be_downloaded(name):
     page = notebooks.text_of_page(PATHS[name])
     assert page.startswith("# ")
@@ -66,24 +63,30 @@ def test_the_page_of_a_notebook_has_its_outputs_and_can_be_downloaded(name):
         assert re.search(rf"!\[[^\]]{{20,}}\]\({file}\)", page), "a picture has words in its place"
 
 
-def cell(**outputs):
-    """A cell as nbclient leaves it, with one output."""
-    return {
+def kept_cell(**output):
+    """A cell as nbclient leaves it, with one output; what is kept of it."""
+    cell = {
         "cell_type": "code",
         "id": "a",
         "source": "print(1)",
         "execution_count": 7,
         "metadata": {"execution": {"shell.execute_reply": "2026-01-01"}},
-        "outputs": [outputs],
+        "outputs": [output],
     }
+    return notebooks.kept(cell)
+
+
+def notebook_that_prints(text):
+    cell = kept_cell(output_type="stream", name="stdout", text=text)
+    return {"cells": [cell]}
 
 
 def test_another_output_is_noticed(tmp_path):
-    shown = {"cells": [notebooks.kept(cell(output_type="stream", name="stdout", text="1\n"))]}
+    shown = notebook_that_prints("1\n")
     file = tmp_path / "a.ipynb"
-    file.write_text(json.dumps(shown), encoding="utf-8")
+    file.write_text(json.dumps(shown), "utf-8")
     assert notebooks.differences(file, shown) == []
-    now = {"cells": [notebooks.kept(cell(output_type="stream", name="stdout", text="2\n"))]}
+    now = notebook_that_prints("2\n")
     (difference,) = notebooks.differences(file, now)
     assert "print(1)" in difference
     assert "2026" not in json.dumps(now)
@@ -91,5 +94,5 @@ def test_another_output_is_noticed(tmp_path):
 
 def test_a_result_without_print_is_text():
     data = {"text/plain": "3.0", "text/html": "<b>3</b>"}
-    kept = notebooks.kept(cell(output_type="execute_result", data=data))
-    assert notebooks.outputs_of(kept) == [notebooks.Output("3.0\n", "")]
+    cell = kept_cell(output_type="execute_result", data=data)
+    assert notebooks.outputs_of(cell) == [notebooks.Output("3.0\n", "")]

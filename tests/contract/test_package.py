@@ -1,7 +1,5 @@
 """What a stranger gets: the main names, the licence, one version, a whole distribution."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import re
 import subprocess
@@ -21,7 +19,7 @@ from unbend.library import correct
 from unbend.refraction import correct_observations, refraction_angle
 
 ROOT = Path(__file__).resolve().parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 
 MAIN_NAMES = {
     "correct": correct,
@@ -49,7 +47,7 @@ def test_a_name_that_does_not_exist_is_an_attribute_error():
 def test_the_version_stands_in_one_place():
     assert "version" not in PROJECT["project"]
     assert PROJECT["tool"]["hatch"]["version"]["path"] == "pipeline/unbend/__init__.py"
-    changelog = (ROOT / "docs" / "changelog.md").read_text(encoding="utf-8")
+    changelog = (ROOT / "docs" / "changelog.md").read_text("utf-8")
     newest = re.search(r"^## .*?(\d+\.\d+\.\d+)", changelog, re.MULTILINE)
     assert newest is not None
     assert newest[1] == unbend.__version__
@@ -57,14 +55,14 @@ def test_the_version_stands_in_one_place():
 
 
 def test_each_version_of_the_changelog_is_a_dozen_lines():
-    changelog = (ROOT / "docs" / "changelog.md").read_text(encoding="utf-8")
+    changelog = (ROOT / "docs" / "changelog.md").read_text("utf-8")
     for section in re.split(r"^## ", changelog, flags=re.MULTILINE)[1:]:
         title, *lines = section.strip().splitlines()
         assert sum(bool(line.strip()) for line in lines) <= 16, title
 
 
 def test_the_licence_is_apache():
-    text = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    text = (ROOT / "LICENSE").read_text("utf-8")
     assert "Apache License" in text
     assert "Version 2.0, January 2004" in text
     assert "APPENDIX: How to apply the Apache License to your work." in text
@@ -73,7 +71,7 @@ def test_the_licence_is_apache():
 
 
 def citation() -> dict:
-    return yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    return yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
 
 
 def test_the_citation_names_the_three_papers():
@@ -125,7 +123,7 @@ def test_a_script_that_no_test_runs_starts(script: str):
 
 
 def test_what_the_makefile_runs_is_there():
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    makefile = (ROOT / "Makefile").read_text("utf-8")
     paths = set(re.findall(r"\b(?:tests|benchmarks|docs)/[\w/]+(?:\.\w+)?", makefile))
     made = {"docs/site", "docs/site/index.html"}  # the site is built by it
     assert [path for path in sorted(paths - made) if not (ROOT / path).exists()] == []

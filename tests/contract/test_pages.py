@@ -1,7 +1,5 @@
 """Every `>>>` on a page of the documentation gives what is printed there."""
 
-from __future__ import annotations
-
 import doctest
 import re
 from pathlib import Path
@@ -10,37 +8,45 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FENCE = re.compile(r"^```pycon\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-PAGES = [
-    path for path in sorted((ROOT / "docs").rglob("*.md")) if FENCE.search(path.read_text("utf-8"))
-]
+
+
+def text_of(path: Path) -> str:
+    return path.read_text("utf-8")
+
+
+PAGES = [path for path in sorted(ROOT.glob("docs/**/*.md")) if FENCE.search(text_of(path))]
 
 
 def examples(page: str) -> str:
-    """The fences of a page, at the lines where they stand; one follows from another."""
-    kept = [""] * page.count("\n")
+    """The fences of a page, each line at its place; one fence follows from another."""
+    text = ""
     for fence in FENCE.finditer(page):
-        first = page.count("\n", 0, fence.start(1))
-        for number, line in enumerate(fence[1].splitlines(), start=first):
-            kept[number] = line
-    return "\n".join(kept) + "\n"
+        before = page[: fence.start(1)]
+        missing = before.count("\n") - text.count("\n")
+        text += "\n" * missing
+        text += fence[1]
+    return text
 
 
 def failures(text: str, name: str) -> str:
     """What does not come out as printed."""
-    test = doctest.DocTestParser().get_doctest(text, {}, name, name, 0)
+    parser = doctest.DocTestParser()
+    test = parser.get_doctest(text, {}, name, name, 0)
     report: list[str] = []
-    doctest.DocTestRunner(verbose=False).run(test, out=report.append)
+    runner = doctest.DocTestRunner(verbose=False)
+    runner.run(test, out=report.append)
     return "".join(report)
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
-def test_a_page_prints_what_comes_out(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_prints_what_comes_out(path, monkeypatch):
     monkeypatch.chdir(ROOT)
-    wrong = failures(examples(path.read_text(encoding="utf-8")), path.name)
+    text = examples(text_of(path))
+    wrong = failures(text, path.name)
     assert not wrong, wrong
 
 
-def test_a_wrong_number_is_noticed() -> None:
+def test_a_wrong_number_is_noticed():
     page = "text\n\n```pycon\n>>> 1 + 1\n3\n```\n\n```pycon\n>>> 2\n2\n```\n"
     assert "line 4" in failures(examples(page), "page")
 
@@ -48,27 +54,23 @@ def test_a_wrong_number_is_noticed() -> None:
 QUOTED = re.compile(r"`([\w/]+\.py|test_\w+)`")
 
 
-def test_modules_and_tests_that_pages_name_exist() -> None:
-    files = [
-        f"/{path.relative_to(ROOT).as_posix()}"
-        for folder in ("pipeline", "tests", "docs", "benchmarks")
-        for path in (ROOT / folder).rglob("*.py")
-    ]
-    tests = "".join(path.read_text("utf-8") for path in (ROOT / "tests").rglob("*.py"))
-    lost = [
-        f"{page.name}: {name}"
-        for page in (*(ROOT / "docs" / "pages").rglob("*.md"), ROOT / "docs" / "decisions.md")
-        for name in QUOTED.findall(page.read_text(encoding="utf-8"))
-        if not (
-            any(file.endswith(f"/{name}") for file in files)
-            if name.endswith(".py")
-            else f"def {name}(" in tests
-        )
-    ]
-    assert not lost, "\n".join(sorted(set(lost)))
+def test_modules_and_tests_that_pages_name_exist():
+    files = ""
+    for folder in ("pipeline", "tests", "docs", "benchmarks"):
+        for path in ROOT.glob(f"{folder}/**/*.py"):
+            files += f"{path}\n"
+    tests = "".join(map(text_of, ROOT.glob("tests/**/*.py")))
+    decisions = ROOT / "docs" / "decisions.md"
+    lost = set()
+    for page in (decisions, *ROOT.glob("docs/pages/**/*.md")):
+        for name in QUOTED.findall(text_of(page)):
+            is_file = f"/{name}\n" in files
+            is_test = f"def {name}(" in tests
+            if not is_file and not is_test:
+                lost.add(f"{page.name}: {name}")
+    assert not lost, "\n".join(sorted(lost))
 
 
-def test_there_are_pages() -> None:
-    assert {"gyer1996", "saastamoinen1974", "bertram1966", "ray", "air"} <= {
-        path.stem for path in PAGES
-    }
+def test_there_are_pages():
+    names = {path.stem for path in PAGES}
+    assert {"gyer1996", "saastamoinen1974", "bertram1966", "ray", "air"} <= names

@@ -1,7 +1,5 @@
 """The planted bugs can be planted: each place exists once, and what replaces it still parses."""
 
-from __future__ import annotations
-
 import ast
 import tomllib
 from pathlib import Path
@@ -14,7 +12,7 @@ from tests.planted.draw import drawn_bugs
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "tests" / "planted").glob("*.toml"))
-CONTENTS = {path.stem: tomllib.loads(path.read_text(encoding="utf-8")) for path in FILES}
+CONTENTS = {path.stem: tomllib.loads(path.read_text("utf-8")) for path in FILES}
 BUGS = [
     pytest.param(bug, id=f"{room}-{number}")
     for room, content in CONTENTS.items()
@@ -23,7 +21,7 @@ BUGS = [
 
 
 @pytest.mark.parametrize("room", CONTENTS)
-def test_a_list_of_planted_bugs_names_tests_that_exist(room: str) -> None:
+def test_a_list_of_planted_bugs_names_tests_that_exist(room: str):
     content = CONTENTS[room]
     assert set(content) == {"tests", "bug"}
     assert content["tests"]
@@ -33,14 +31,14 @@ def test_a_list_of_planted_bugs_names_tests_that_exist(room: str) -> None:
 
 
 @pytest.mark.parametrize("bug", BUGS)
-def test_a_bug_can_be_planted(bug: dict[str, Any]) -> None:
+def test_a_bug_can_be_planted(bug: dict[str, Any]):
     assert (
         {"file", "before", "after", "what"}
         <= set(bug)
         <= {"file", "before", "after", "what", "first"}
     )
     assert bug["file"].startswith("pipeline/unbend/")
-    text = (ROOT / bug["file"]).read_text(encoding="utf-8")
+    text = (ROOT / bug["file"]).read_text("utf-8")
     assert text.count(bug["before"]) == 1, f"'before' stands {text.count(bug['before'])} times"
     assert bug["before"] != bug["after"]
     if bug["file"].endswith(".py"):
@@ -49,7 +47,7 @@ def test_a_bug_can_be_planted(bug: dict[str, Any]) -> None:
     assert "first" not in bug or (ROOT / bug["first"]).is_file()
 
 
-def test_every_room_has_planted_bugs() -> None:
+def test_every_room_has_planted_bugs():
     package = ROOT / "pipeline" / "unbend"
     rooms = {path.name for path in package.iterdir() if (path / "__init__.py").is_file()}
     planted = {parameters.values[0]["file"].split("/")[2] for parameters in BUGS}
@@ -58,18 +56,18 @@ def test_every_room_has_planted_bugs() -> None:
     assert len(BUGS) >= 120
 
 
-def test_a_seed_draws_bugs_that_can_be_planted() -> None:
+def test_a_seed_draws_bugs_that_can_be_planted():
     bugs = drawn_bugs(12, seed=1)
     assert bugs == drawn_bugs(12, seed=1) != drawn_bugs(12, seed=2)
     for bug in bugs:
-        text = (ROOT / bug.file).read_text(encoding="utf-8")
+        text = (ROOT / bug.file).read_text("utf-8")
         assert text.count(bug.before) == 1
         planted = ast.parse(text.replace(bug.before, bug.after))
         assert ast.dump(planted) != ast.dump(ast.parse(text)), bug
         assert all((ROOT / name).exists() for name in (*bug.nearest, *bug.tests))
 
 
-def test_changes_are_those_of_code_that_decides(tmp_path: Path) -> None:
+def test_changes_are_those_of_code_that_decides(tmp_path: Path):
     path = tmp_path / "module.py"
     path.write_text(
         '''"""A text: 1 < 2."""

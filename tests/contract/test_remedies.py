@@ -1,7 +1,5 @@
 """What a refusal tells the user to write exists: keys of mission files, columns of soundings."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path
@@ -19,41 +17,53 @@ OF_EXPORTS = {"origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"}
 WORD = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)+")
 
 
+def is_remedy(node: ast.AST) -> bool:
+    """Whether a node gives a remedy: as an argument, or on a line of its own."""
+    if isinstance(node, ast.keyword):
+        return node.arg == "remedy"
+    if not isinstance(node, ast.Assign):
+        return False
+    return "remedy" in map(ast.unparse, node.targets)
+
+
 def words_of_remedies() -> dict[str, set[str]]:
-    """Every word with an underscore in a remedy of the package, and the files it stands in."""
-    found: dict[str, set[str]] = {}
+    """Every word with an underscore in a remedy of the package, and the files that have it."""
+    files: dict[str, set[str]] = {}
     for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            stated = isinstance(node, ast.keyword) and node.arg == "remedy"
-            if isinstance(node, ast.Assign):  # ... or stated on a line of its own
-                stated = any(isinstance(t, ast.Name) and t.id == "remedy" for t in node.targets)
-            if not (stated and isinstance(node, ast.keyword | ast.Assign)):
-                continue
+        tree = ast.parse(path.read_text("utf-8"))
+        for node in filter(is_remedy, ast.walk(tree)):
             for part in ast.walk(node.value):
-                if isinstance(part, ast.Constant) and isinstance(part.value, str):
-                    for word in WORD.findall(part.value):
-                        found.setdefault(word, set()).add(path.name)
-    return found
+                text = ""
+                if isinstance(part, ast.Constant):
+                    text = str(part.value)
+                for word in WORD.findall(text):
+                    files.setdefault(word, set()).add(path.name)
+    return files
+
+
+def is_text(value: object) -> bool:
+    return isinstance(value, str)
 
 
 def keys_of_mission_files(schema: object) -> set[str]:
     """All keys, and the words that are values of keys, such as ``from_feedback``."""
+    words: set[str] = set()
     if isinstance(schema, dict):
-        nested = (keys_of_mission_files(value) for value in schema.values())
+        words.update(schema.get("properties", {}))
         values = [*schema.get("enum", []), schema.get("const")]
-        words = {value for value in values if isinstance(value, str)}
-        return words.union(schema.get("properties", {}), *nested)
+        words.update(filter(is_text, values))
+        schema = list(schema.values())
     if isinstance(schema, list):
-        return set().union(*(keys_of_mission_files(value) for value in schema))
-    return set()
+        for part in schema:
+            words |= keys_of_mission_files(part)
+    return words
 
 
 def test_remedies_name_keys_that_exist():
-    known = (
-        keys_of_mission_files(Mission.model_json_schema()) | set(PLAIN_COLUMNS) | set(PLACE_COLUMNS)
-    )
-    known |= OF_FILES | OF_EXPORTS
-    words = words_of_remedies()
-    assert len(words) >= 7
-    assert "station_h_msl_m" in words
-    assert {word: files for word, files in words.items() if word not in known} == {}
+    existing = keys_of_mission_files(Mission.model_json_schema())
+    existing.update(PLAIN_COLUMNS, PLACE_COLUMNS, OF_FILES, OF_EXPORTS)
+    files = words_of_remedies()
+    assert len(files) >= 7
+    assert "station_h_msl_m" in files
+    unknown = files.keys() - existing
+    assert not unknown, [(word, files[word]) for word in unknown]

@@ -1,7 +1,5 @@
 """Texts for people (ledger, refusals, help, report) are in the third person and of plain words."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib
@@ -9,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 import unbend
 
@@ -55,7 +54,7 @@ ROOT = PACKAGE.parents[1]
 def test_texts_have_no_private_words():
     wrong = []
     for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
                 wrong += [f"{path.name}:{node.lineno}: {w}" for w in PRIVATE.findall(node.value)]
     changes = ("changelog.md", "changelog_details.md")
@@ -66,7 +65,7 @@ def test_texts_have_no_private_words():
         *PACKAGE.rglob("*.j2"),
     ]
     for path in pages:
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), start=1):
             wrong += [f"{path.name}:{number}: {word}" for word in PRIVATE.findall(line)]
     assert not wrong, "\n".join(wrong)
 
@@ -80,7 +79,7 @@ def test_private_words_are_noticed(text):
 def test_texts_have_no_first_or_second_person():
     wrong = []
     for path in sorted(PACKAGE.rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = ast.parse(path.read_text("utf-8"))
         room = path.relative_to(PACKAGE).parts[0]
         shown = [*texts(tree), *(help_texts(tree) if room in ("cli", "config") else ())]
         wrong += [
@@ -91,16 +90,16 @@ def test_texts_have_no_first_or_second_person():
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("name the sensor in your file", ["your"]),
-        ("We took what I found", ["We", "I"]),
-        ("did you mean x", ["you"]),
-        ("US 1976 errs by 0.3 K; the column i is in us [us]", ["us"]),
-        ("1500 us late, time [us], minerals", []),
-    ],
-)
+WITH_PERSONS = yaml.safe_load("""
+- [name the sensor in your file, [your]]
+- [We took what I found, [We, 'I']]
+- [did you mean x, [you]]
+- ['US 1976 errs by 0.3 K; the column i is in us [us]', [us]]
+- ['1500 us late, time [us], minerals', []]
+""")
+
+
+@pytest.mark.parametrize(("text", "words"), WITH_PERSONS)
 def test_persons_are_noticed(text, words):
     assert persons_in(text) == words
 
@@ -211,7 +210,7 @@ def texts_of_the_program() -> Iterator[tuple[str, str]]:
     of a command is its help, that of a section of the mission file is in the schema.
     """
     for path in sorted(PACKAGE.rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = ast.parse(path.read_text("utf-8"))
         place = path.relative_to(PACKAGE).as_posix()
         for line, text in texts(tree):
             yield f"{place}:{line}", text
@@ -225,10 +224,10 @@ def texts_of_the_program() -> Iterator[tuple[str, str]]:
     for path in sorted(PACKAGE.rglob("*.toml")):
         place = path.relative_to(PACKAGE).as_posix()
         if place not in NOT_SHOWN:
-            for text in strings_of_toml(tomllib.loads(path.read_text(encoding="utf-8"))):
+            for text in strings_of_toml(tomllib.loads(path.read_text("utf-8"))):
                 yield place, text
     for path in sorted(PACKAGE.rglob("*.j2")):
-        yield path.name, JINJA.sub(" ", path.read_text(encoding="utf-8"))
+        yield path.name, JINJA.sub(" ", path.read_text("utf-8"))
 
 
 def habits_of_a_text(text: str) -> list[str]:
@@ -250,16 +249,16 @@ def test_texts_of_the_program_have_plain_words():
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        ("the columns {columns} stand there twice", "stands"),
-        ("is no IGRA file: it begins with {begins!r}", "X is no Y"),
-        ("{count} points lie outside the area of {system}", "lies"),
-        ("give each mission a folder of its own", "own"),
-        ("levels are taken as saturated", "taken for"),
-    ],
-)
+TEXTS_WITH_HABITS = yaml.safe_load("""
+- ['the columns {columns} stand there twice', stands]
+- ['is no IGRA file: it begins with {begins!r}', X is no Y]
+- ['{count} points lie outside the area of {system}', lies]
+- [give each mission a folder of its own, own]
+- [levels are taken as saturated, taken for]
+""")
+
+
+@pytest.mark.parametrize(("text", "name"), TEXTS_WITH_HABITS)
 def test_habits_of_the_program_are_noticed(text, name):
     assert any(found.startswith(name) for found in habits_of_a_text(text))
 
@@ -294,38 +293,38 @@ def test_all_kinds_of_texts_of_the_program_are_read():
 
 @pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
 def test_a_page_has_plain_words(page):
-    assert not habits_in(page.read_text(encoding="utf-8"))
+    assert not habits_in(page.read_text("utf-8"))
 
 
 @pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
 def test_paragraphs_of_a_page_are_short(page):
-    paragraphs = paragraphs_of(page.read_text(encoding="utf-8"))
+    paragraphs = paragraphs_of(page.read_text("utf-8"))
     assert not [text for text in paragraphs if len(text.split()) > MOST_WORDS]
 
 
 @pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
 def test_code_of_a_page_fits_a_small_screen(page):
     """What the program printed (`console`) has the width that it was printed with."""
-    text = page.read_text(encoding="utf-8")
+    text = page.read_text("utf-8")
     fenced = [body for _, kind, body in FENCED.findall(text) if kind != "console"]
     indented = re.findall(r"^ {4}(?! *[|*]).*$", FENCED.sub("\n", text), re.MULTILINE)
     lines = [line for body in fenced for line in body.splitlines()] + indented
     assert not [line for line in lines if len(line) > WIDEST_CODE]
 
 
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        ("It is no noise.", "X is no Y"),
-        ("The causes stand in the ledger.", "stands"),
-        ("A file that holds several\ncameras.", "holds"),
-        ("The manifest says so.", "says"),
-        ("The sidecar lies beside it.", "beside"),
-        ("the sensor of which nothing is known", "of which"),
-        ("nine real airs", "airs"),
-        ("* What is left stays in.", "What as a subject"),
-    ],
-)
+SENTENCES_WITH_HABITS = yaml.safe_load(r"""
+- [It is no noise., X is no Y]
+- [The causes stand in the ledger., stands]
+- ["A file that holds several\ncameras.", holds]
+- [The manifest says so., says]
+- [The sidecar lies beside it., beside]
+- [the sensor of which nothing is known, of which]
+- [nine real airs, airs]
+- ['* What is left stays in.', What as a subject]
+""")
+
+
+@pytest.mark.parametrize(("text", "name"), SENTENCES_WITH_HABITS)
 def test_habits_are_noticed(text, name):
     assert any(found.startswith(name) for found in habits_in(text))
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import yaml
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -20,24 +21,19 @@ def matrix(q: np.ndarray) -> np.ndarray:
     return Rotation.from_quat(q, scalar_first=True).as_matrix()
 
 
-@pytest.mark.parametrize(
-    ("forward", "left", "up", "euler_deg"),
-    [
-        ([0, 1, 0], [-1, 0, 0], [0, 0, 1], (0, 0, 0)),
-        ([1, 0, 0], [0, 1, 0], [0, 0, 1], (0, 0, 90)),
-        ([0, 0, 1], [-1, 0, 0], [0, -1, 0], (0, 90, 0)),
-        ([0, 1, 0], [0, 0, 1], [1, 0, 0], (90, 0, 0)),
-    ],
-    ids=[
-        "level, facing north",
-        "level, facing east",
-        "facing north, nose up 90",
-        "facing north, right wing down 90",
-    ],
-)
-def test_pictured_attitudes(forward, left, up, euler_deg):
-    """Axes of the body in east, north and up; roll, pitch and yaw as pilots know them."""
-    axes = np.array([forward, left, up]).T
+PICTURED = yaml.safe_load("""
+level, facing north: [[0, 1, 0], [-1, 0, 0], [0, 0, 1], [0, 0, 0]]
+level, facing east: [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 90]]
+facing north, nose up 90: [[0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 90, 0]]
+facing north, right wing down 90: [[0, 1, 0], [0, 0, 1], [1, 0, 0], [90, 0, 0]]
+""")
+"""Forward, left and up in east, north and up; roll, pitch and yaw [deg] as pilots know them."""
+
+
+@pytest.mark.parametrize("name", PICTURED)
+def test_pictured_attitudes(name):
+    *axes_of_body, euler_deg = PICTURED[name]
+    axes = np.array(axes_of_body).T
     ros = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     expected = ENU_OF_NED.T @ axes @ FLU_OF_FRD
     assert_allclose(

@@ -20,7 +20,7 @@ ALL = slice(None)
 class Vehicle:
     """Records every 0.2 s of boots that are (first time since boot, UTC of it, seconds long)."""
 
-    def __init__(self, *boots: tuple[float, float, float]) -> None:
+    def __init__(self, *boots: tuple[float, float, float]):
         since_boot = []
         utc = []
         numbers = []

@@ -162,7 +162,7 @@ def test_a_fork_while_another_thread_holds_the_lock(monkeypatch):
     locked = threading.Event()
     go = threading.Event()
 
-    def hold() -> None:
+    def hold():
         with memory._ARENA.lock:
             locked.set()
             go.wait()

@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -49,13 +49,10 @@ print(json.dumps({"more": status("VmHWM") - before, "columns": columns}))
     ],
 )
 def test_memory_is_the_columns_and_a_little(
-    tmp_path, suffix, benchmark, megabytes, read, spare_mib
+    tmp_path, monkeypatch, suffix, benchmark, megabytes, read, spare_mib
 ):
-    spec = spec_from_file_location(benchmark, REPOSITORY / "benchmarks" / f"{benchmark}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
+    monkeypatch.syspath_prepend(REPOSITORY / "benchmarks")
+    module = import_module(benchmark)
     sample = LOGS[f"flight{suffix}"]
     path = tmp_path / f"grown{suffix}"
     module.grow(sample, path, megabytes * 1_000_000)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.helpers import channel
 from unbend.ingest.flight_log import describe
@@ -40,14 +41,14 @@ def test_the_flight_of_known_channels():
     }
 
 
-@pytest.mark.parametrize(
-    ("columns", "report"),
-    [
-        ({"sigma_h_m": 0.42, "hdop": 1.2}, "± 0.42 m, as reported"),
-        ({"hdop": 1.2}, "HDOP 1.2"),
-        ({}, "no report of its accuracy"),
-    ],
-)
+REPORTS = yaml.safe_load("""
+- [{sigma_h_m: 0.42, hdop: 1.2}, '± 0.42 m, as reported']
+- [{hdop: 1.2}, HDOP 1.2]
+- [{}, no report of its accuracy]
+""")
+
+
+@pytest.mark.parametrize(("columns", "report"), REPORTS)
 def test_why_a_receiver_is_good_or_not(columns, report):
     first = replace(receiver("GPS", sigma_h_m=0.3), rank=20)
     moved = LATITUDE[:981] + 5.0 / 6_367_400.0

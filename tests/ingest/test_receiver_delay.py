@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from numpy.testing import assert_array_equal
 
 from unbend.flight.channels import Channel, Source
@@ -149,28 +150,40 @@ def test_a_second_receiver_has_its_own_delay_and_another_vehicle_its_own_clock()
     assert later_ns["GLOBAL_POSITION_INT"] == 0
 
 
-@pytest.mark.parametrize(
-    ("parameters", "texts", "instance", "delay_s", "sigma_s"),
-    [
-        ({"GPS1_DELAY_MS": 150.0}, [], "0", 0.15, 0.04),
-        ({"GPS_DELAY_MS": 90.0, "GPS_DELAY_MS2": 60.0}, [], "1", 0.06, 0.04),
-        ({"GPS1_DELAY_MS": 0.0}, [], "0", 0.22, 0.04),
-        ({"GPS1_DELAY_MS": 0.0}, ["u-blox 1 HW: 00080000 SW: EXT CORE 3.01"], "0", 0.12, 0.04),
-        ({"GPS1_DELAY_MS": 0.0}, ["u-blox 1 HW: 00070000 SW: 1.00"], "0", 0.12, 0.04),
-        ({"GPS1_DELAY_MS": 0.0}, ["u-blox 1 HW: 00040007 SW: 7.03"], "0", 0.22, 0.04),
-        ({"EKF2_GPS_DELAY": 110.0}, [], None, 0.11, 0.04),
-        ({}, [], "0", 0.0, 0.15),
-        ({"GPS1_DELAY_MS": float("nan")}, [], "0", 0.0, 0.15),
-        ({"GPS1_DELAY_MS": -1.0}, [], "0", 0.0, 0.15),
-        ({"GPS1_DELAY_MS": 499.0}, [], "0", 0.499, 0.04),
-        ({"GPS1_DELAY_MS": 500.0}, [], "0", 0.0, 0.15),
-    ],
-)
-def test_the_settings_of_the_autopilot(parameters, texts, instance, delay_s, sigma_s):
-    receiver = track(f"GPS[{instance}]" if instance else "sensor_gps", FIXED_S, FIXED_S)
-    delay = stated_delay(receiver, parameters, texts)
-    assert delay.delay_s == delay_s
-    assert delay.sigma_s == sigma_s
+SETTINGS = yaml.safe_load("""
+- {parameters: {GPS1_DELAY_MS: 150.0}, delay_s: 0.15, sigma_s: 0.04}
+- parameters: {GPS_DELAY_MS: 90.0, GPS_DELAY_MS2: 60.0}
+  receiver: GPS[1]
+  delay_s: 0.06
+  sigma_s: 0.04
+- {parameters: {GPS1_DELAY_MS: 0.0}, delay_s: 0.22, sigma_s: 0.04}
+- parameters: {GPS1_DELAY_MS: 0.0}
+  texts: ["u-blox 1 HW: 00080000 SW: EXT CORE 3.01"]
+  delay_s: 0.12
+  sigma_s: 0.04
+- parameters: {GPS1_DELAY_MS: 0.0}
+  texts: ["u-blox 1 HW: 00070000 SW: 1.00"]
+  delay_s: 0.12
+  sigma_s: 0.04
+- parameters: {GPS1_DELAY_MS: 0.0}
+  texts: ["u-blox 1 HW: 00040007 SW: 7.03"]
+  delay_s: 0.22
+  sigma_s: 0.04
+- {parameters: {EKF2_GPS_DELAY: 110.0}, receiver: sensor_gps, delay_s: 0.11, sigma_s: 0.04}
+- {parameters: {}, delay_s: 0.0, sigma_s: 0.15}
+- {parameters: {GPS1_DELAY_MS: .nan}, delay_s: 0.0, sigma_s: 0.15}
+- {parameters: {GPS1_DELAY_MS: -1.0}, delay_s: 0.0, sigma_s: 0.15}
+- {parameters: {GPS1_DELAY_MS: 499.0}, delay_s: 0.499, sigma_s: 0.04}
+- {parameters: {GPS1_DELAY_MS: 500.0}, delay_s: 0.0, sigma_s: 0.15}
+""")
+
+
+@pytest.mark.parametrize("case", SETTINGS, ids=str)
+def test_the_settings_of_the_autopilot(case):
+    receiver = track(case.get("receiver", "GPS[0]"), FIXED_S, FIXED_S)
+    delay = stated_delay(receiver, case["parameters"], case.get("texts", []))
+    assert delay.delay_s == case["delay_s"]
+    assert delay.sigma_s == case["sigma_s"]
 
 
 RESTING = np.zeros(FIXED_S.size)

@@ -34,32 +34,36 @@ def loss_codes(log: Log) -> set[str]:
 
 
 # struct letters and scale of the DataFlash format letters in use here (ArduPilot LogStructure.h)
-LETTERS = {
-    "Q": ("Q", 1),
-    "B": ("B", 1),
-    "I": ("I", 1),
-    "H": ("H", 1),
-    "i": ("i", 1),
-    "f": ("f", 1),
-    "N": ("16s", 1),
-    "a": ("64s", 1),
-    "c": ("h", 100),
-    "C": ("H", 100),
-    "e": ("i", 100),
-    "E": ("I", 100),
-    "L": ("i", 10**7),
-}
+_LETTERS = """
+Q Q 1
+B B 1
+I I 1
+H H 1
+i i 1
+f f 1
+N 16s 1
+a 64s 1
+c h 100
+C H 100
+e i 100
+E I 100
+L i 10000000
+"""
+LETTERS: dict[str, tuple[str, int]] = {}
+for _row in _LETTERS.strip().splitlines():
+    _letter, _code, _scale = _row.split()
+    LETTERS[_letter] = (_code, int(_scale))
 
 
 class DataFlashWriter:
     """Writes DataFlash records as ArduPilot does."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.data = b""
         self.formats: dict[str, tuple[int, str]] = {}
         self.define(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)
 
-    def define(self, kind: int, name: str, letters: str, columns: str, length: int = 0) -> None:
+    def define(self, kind: int, name: str, letters: str, columns: str, length: int = 0):
         if not length:
             layout = "".join(LETTERS[letter][0] for letter in letters)
             length = 3 + struct.calcsize("<" + layout)
@@ -67,7 +71,7 @@ class DataFlashWriter:
         self.data += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, length, *texts)
         self.formats[name] = (kind, letters)
 
-    def row(self, name: str, *values: float | bytes) -> None:
+    def row(self, name: str, *values: float | bytes):
         kind, letters = self.formats[name]
         self.data += b"\xa3\x95" + bytes([kind])
         for letter, value in zip(letters, values, strict=True):
@@ -75,14 +79,12 @@ class DataFlashWriter:
             raw = value if letter in "fNa" else round(value * scale)
             self.data += struct.pack("<" + code, raw)
 
-    def define_receiver(self) -> None:
+    def define_receiver(self):
         """GPS of several receivers, whose rows `fix` writes."""
         columns = "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt"
         self.define(20, "GPS", "QBBIHBcLLe", columns)
 
-    def fix(
-        self, time_us: int, week_ms: int, *, week: int, instance: int = 0, status: int = 3
-    ) -> None:
+    def fix(self, time_us: int, week_ms: int, *, week: int, instance: int = 0, status: int = 3):
         """A fix at a place that does not change."""
         self.row(
             "GPS",
@@ -114,7 +116,7 @@ def blank_fields(kind: type) -> dict[str, Any]:
 class MavlinkWriter:
     """Packets of pymavlink's encoder, each behind the stamp of a ground station."""
 
-    def __init__(self, version: int = 2) -> None:
+    def __init__(self, version: int = 2):
         from pymavlink.dialects.v20 import all as library
 
         self.library = library
@@ -124,7 +126,7 @@ class MavlinkWriter:
 
     def send(
         self, name: str, received_us: int, /, source: tuple[int, int] = (1, 1), **fields: object
-    ) -> None:
+    ):
         """A message of a system and component; fields that are not given are zero."""
         kind = getattr(self.library, f"MAVLink_{name}_message")
         message = kind(**blank_fields(kind) | fields)
@@ -194,14 +196,14 @@ def ros_time(time_ns: int) -> dict[str, int]:
 class RosWriter:
     """A recording of ROS 2 by the writer of mcap-ros2-support."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options):
         from mcap_ros2.writer import Writer
 
         self.file = io.BytesIO()
         self.writer = Writer(self.file, **options)
         self.schemas: dict[str, Any] = {}
 
-    def define(self, kind: str, definition: str) -> None:
+    def define(self, kind: str, definition: str):
         package, name = kind.split("/")
         full_name = f"{package}/msg/{name}"
         self.schemas[kind] = self.writer.register_msgdef(full_name, with_parts(definition))
@@ -215,7 +217,7 @@ class RosWriter:
         *,
         frame_id: str = "base",
         **fields: object,
-    ) -> None:
+    ):
         """A message with this stamp in its header; fields that are not given are zero."""
         if kind not in self.schemas:
             self.define(kind, DEFINITIONS[kind])
@@ -233,7 +235,7 @@ class RosWriter:
 class McapWriter:
     """A recording of messages of any encoding, by the writer of mcap."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options):
         from mcap.writer import Writer
 
         self.file = io.BytesIO()
@@ -252,7 +254,7 @@ class McapWriter:
 
     def write(
         self, channel: int, recorded_ns: int, content: bytes | dict[str, Any], sequence: int = 0
-    ) -> None:
+    ):
         """A message of bytes, or of a dictionary in JSON."""
         data = content if isinstance(content, bytes) else json.dumps(content).encode()
         self.writer.add_message(channel, recorded_ns, data, recorded_ns, sequence)
@@ -266,18 +268,18 @@ class McapWriter:
 class ULogWriter:
     """Writes the messages of a ULog file by hand: definitions, subscriptions, data."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
         self.message("B", bytes(40))
         self.ids: dict[tuple[str, int], int] = {}
 
-    def message(self, kind: str, payload: bytes) -> None:
+    def message(self, kind: str, payload: bytes):
         self.data += struct.pack("<HB", len(payload), ord(kind)) + payload
 
-    def define(self, name: str, fields: str) -> None:
+    def define(self, name: str, fields: str):
         self.message("F", f"{name}:uint64_t timestamp;{fields}".encode())
 
-    def subscribe(self, *names: str, instance: int = 0) -> None:
+    def subscribe(self, *names: str, instance: int = 0):
         for name in names:
             number = len(self.ids)
             self.ids[name, instance] = number
@@ -286,7 +288,7 @@ class ULogWriter:
                 struct.pack("<BH", instance, number) + name.encode(),
             )
 
-    def row(self, name: str, layout: str, *values: float, instance: int = 0) -> None:
+    def row(self, name: str, layout: str, *values: float, instance: int = 0):
         number = struct.pack("<H", self.ids[name, instance])
         self.message(
             "D",

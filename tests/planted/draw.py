@@ -8,8 +8,6 @@ drawn among all that can be changed, so a room is as frequent as it is long; the
 of change that the line allows; then one of the changes of that kind (`changes.py`).
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import random
@@ -17,6 +15,7 @@ import re
 import sys
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -36,21 +35,35 @@ LIKELY = 1.7  # score of a test file: more than a similar name in the same room
 
 def room_of(path: Path) -> str:
     """The name of the list of planted bugs that names the tests of a module."""
-    first = path.relative_to(PACKAGE).parts[0]
-    return first if not first.endswith(".py") else TOP_LEVEL.get(path.stem, "base")
+    room, *below = path.relative_to(PACKAGE).parts
+    if below:
+        return room
+    return TOP_LEVEL.get(path.stem, "base")
+
+
+@dataclass(frozen=True)
+class FileOfTests:
+    """A file of tests, and its words."""
+
+    name: str
+    text: str
+    words: frozenset[str]
+
+    @property
+    def subject(self) -> str:
+        return Path(self.name).stem.removeprefix("test_")
 
 
 @cache
-def test_texts() -> dict[str, str]:
-    """Path and text of every test file."""
-    paths = sorted((ROOT / "tests").rglob("test_*.py"))
-    return {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in paths}
-
-
-@cache
-def words_of(text: str) -> frozenset[str]:
-    """The words of a test file."""
-    return frozenset(re.findall(r"\w+", text))
+def files_of_tests() -> list[FileOfTests]:
+    """Every file of tests."""
+    files = []
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        name = str(path.relative_to(ROOT))
+        text = path.read_text("utf-8")
+        words = frozenset(re.findall(r"\w+", text))
+        files.append(FileOfTests(name, text, words))
+    return files
 
 
 def likeness(name: str, other: str) -> float:
@@ -69,25 +82,33 @@ def nearest_tests(source: Source, line: int) -> tuple[str, ...]:
     *packages, stem = module.relative_to(PACKAGE.parent).with_suffix("").parts
     package = ".".join(packages)
     imported = re.compile(rf"\b{package}\.{stem}\b|from {package} import [^\n]*\b{stem}\b")
+    folder = f"tests/{room_of(module)}/"
     function = function_of(source, line)
-    offered = [
-        node.name
-        for node in source.tree.body
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and len(node.name) >= 8
-    ]
+    long_names = set()
+    for node in source.tree.body:
+        name = getattr(node, "name", "")  # of functions and classes
+        if len(name) >= 8:
+            long_names.add(name)
     scores = {}
-    for name, text in test_texts().items():
-        words = words_of(text)
-        score = likeness(stem, Path(name).stem.removeprefix("test_"))
-        score += 2.0 * bool(imported.search(text))
-        score += 2.0 * (Path(name).stem == f"test_{stem}")
-        score += 1.5 * (function in words)
-        score += min(1.5, 0.5 * len(words.intersection(offered)))
-        score += 9.0 * (stem == "messages" and name == TESTS_OF_MESSAGES)
-        scores[name] = score + 0.5 * name.startswith(f"tests/{room_of(module)}/")
+    for file in files_of_tests():
+        shared_names = file.words & long_names
+        score = likeness(stem, file.subject) + min(1.5, 0.5 * len(shared_names))
+        if imported.search(file.text):
+            score += 2.0
+        if file.subject == stem:
+            score += 2.0
+        if function in file.words:
+            score += 1.5
+        if stem == "messages" and file.name == TESTS_OF_MESSAGES:
+            score += 9.0
+        if file.name.startswith(folder):
+            score += 0.5
+        scores[file.name] = score
     likeliest = sorted(scores, key=lambda name: -scores[name])
     likely = [name for name in likeliest if scores[name] >= LIKELY]
-    return (str(module.relative_to(ROOT)), *(likely or likeliest)[:NEAREST_FILES])
+    nearest = likely or likeliest
+    own_examples = str(module.relative_to(ROOT))
+    return (own_examples, *nearest[:NEAREST_FILES])
 
 
 def function_of(source: Source, line: int) -> str:
@@ -101,21 +122,21 @@ def function_of(source: Source, line: int) -> str:
 
 def bug_of(source: Source, change: Change, index: int) -> Bug:
     """The record of a change. Its `before` takes in lines around it until it stands only once."""
-    first = source.content.rfind(b"\n", 0, change.start) + 1
-    end = source.content.find(b"\n", change.end)
-    while source.content.count(source.content[first:end]) > 1:
-        first = source.content.rfind(b"\n", 0, max(first - 1, 0)) + 1
-    before = source.content[first:end].decode("utf-8")
-    head = source.content[first : change.start].decode("utf-8")
-    tail = source.content[change.end : end].decode("utf-8")
-    shown = source.content[change.start : change.end].decode("utf-8")
+    content = source.content
+    first = content.rfind(b"\n", 0, change.start) + 1
+    end = content.find(b"\n", change.end)
+    while content.count(content[first:end]) > 1:
+        first = content.rfind(b"\n", 0, max(first - 1, 0)) + 1
+    head = content[first : change.start].decode()
+    shown = content[change.start : change.end].decode()
+    tail = content[change.end : end].decode()
     room = room_of(source.path)
     return Bug(
         room=room,
         index=index,
         tests=read_bugs(HERE / f"{room}.toml")[0].tests,
         file=str(source.path.relative_to(ROOT)),
-        before=before,
+        before=head + shown + tail,
         after=head + change.after + tail,
         what=f"line {change.line}, {change.kind}: {shown!r} -> {change.after!r}",
         nearest=nearest_tests(source, change.line),
@@ -138,24 +159,24 @@ def drawn_bugs(number: int, seed: int, rooms: Sequence[str] = ()) -> list[Bug]:
 
     Fewer where the rooms have fewer lines that can be changed.
     """
-    lines = [
-        (source, line)
-        for source, line in changes_by_line()
-        if not rooms or room_of(source.path) in rooms
-    ]
+    lines = []
+    for source, line in changes_by_line():
+        if not rooms or room_of(source.path) in rooms:
+            lines.append((source, line))
     draw = random.Random(seed)
     drawn = draw.sample(range(len(lines)), min(number, len(lines)))
     bugs = []
     for index, place in enumerate(sorted(drawn), start=1):
         source, line = lines[place]
         changes = changes_by_line()[source, line]
-        kind = draw.choice(sorted({change.kind for change in changes}))
+        kinds = {change.kind for change in changes}
+        kind = draw.choice(sorted(kinds))
         change = draw.choice([change for change in changes if change.kind == kind])
         bugs.append(bug_of(source, change, index))
     return bugs
 
 
-def main() -> None:
+def main():
     """Print the bugs that a seed draws."""
     parser = argparse.ArgumentParser(description="Draw bugs blindly and print them.")
     parser.add_argument("rooms", nargs="*")

@@ -1,7 +1,5 @@
 """A planted bug, and the lists of them."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +22,7 @@ class Bug:
 
 def read_bugs(path: Path) -> list[Bug]:
     """The planted bugs of a room."""
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    content = tomllib.loads(path.read_text("utf-8"))
     tests = tuple(content["tests"])
     return [
         Bug(path.stem, index, tests, **entry) for index, entry in enumerate(content["bug"], start=1)

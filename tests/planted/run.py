@@ -12,8 +12,6 @@ planted. Exit code 1 if fewer than 95 % of the bugs, or 85 % in any room, are no
 bugs, if fewer than 85 %, because some change nothing that a test could see.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os
@@ -75,7 +73,7 @@ def runs_of(bug: Bug) -> list[tuple[str, ...]]:
 class Copy:
     """A copy of the repository in a temporary folder, for one worker."""
 
-    def __init__(self, parent: Path) -> None:
+    def __init__(self, parent: Path):
         self.parent = parent
         self.root = parent / "repository"
         listed = subprocess.run(
@@ -241,7 +239,7 @@ def print_table(results: list[tuple[Bug, Ended]], drawn: bool) -> bool:
     return sufficient and share >= least_of_all
 
 
-def main() -> None:
+def main():
     """Read the command line, plant the bugs, print a line for each and the table."""
     parser = argparse.ArgumentParser(description="Plant bugs and see whether tests notice them.")
     parser.add_argument(
@@ -271,7 +269,7 @@ def main() -> None:
         with ThreadPoolExecutor(jobs) as workers:
             seconds = {} if arguments.no_baseline else run_baselines(bugs, copies, workers)
 
-            def work(number: int) -> None:
+            def work(number: int):
                 bug = bugs[number]
                 limit = max(SHORTEST_LIMIT_S, PATIENCE * seconds.get(bug.room, 900.0))
                 copy = copies.get()

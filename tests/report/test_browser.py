@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -41,13 +40,13 @@ def browser():
         running.close()
 
 
-def ran(mission: Any, code: int) -> Path:
+def ran(mission, code: int) -> Path:
     ended = mission.run()
     assert ended.code == code, ended.text
     return Path(mission.output)
 
 
-def with_model_and_flagged_rows(mission: Any) -> Path:
+def with_model_and_flagged_rows(mission) -> Path:
     """A mission on an elevation model that covers a part of it, with rows that are no use."""
     cells = 300
     step = 60.0 / 111_000.0
@@ -83,7 +82,7 @@ def with_model_and_flagged_rows(mission: Any) -> Path:
     return ran(mission, 3)
 
 
-def without_log(mission: Any, baseline: Any) -> Path:
+def without_log(mission, baseline) -> Path:
     """A mission whose stations are a table, in the air of a standard."""
     for section in ("log", "mount", "events"):
         del mission.config[section]
@@ -107,13 +106,13 @@ def sample(folder: Path) -> Path:
     """The sample mission of a log of ArduPilot."""
     from unbend.batch.runs import run_mission
 
-    text = (REPOSITORY / "configs" / "sample_bin.yaml").read_text(encoding="utf-8")
+    text = (REPOSITORY / "configs" / "sample_bin.yaml").read_text("utf-8")
     sections = yaml.safe_load(text)
     for name in ("log", "observations"):
         sections[name]["path"] = str((REPOSITORY / "configs" / sections[name]["path"]).resolve())
     sections["output"]["path"] = str(folder / "results")
     folder.mkdir()
-    (folder / "mission.yaml").write_text(yaml.safe_dump(sections), encoding="utf-8")
+    (folder / "mission.yaml").write_text(yaml.safe_dump(sections), "utf-8")
     run_mission(folder / "mission.yaml")
     return folder / "results"
 
@@ -283,7 +282,7 @@ def test_heads_and_page_numbers_on_paper(browser, mission_factory, unbend, tmp_p
 @pytest.mark.parametrize("name", ["sample", "small", "model", "no log"])
 def test_the_page_says_what_the_manifest_says(runs, browser, name):
     """Cell by cell, as a reader sees them."""
-    manifest = json.loads((runs[name] / "manifest.json").read_text(encoding="utf-8"))
+    manifest = json.loads((runs[name] / "manifest.json").read_text("utf-8"))
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.goto((runs[name] / "report.html").resolve().as_uri())
 

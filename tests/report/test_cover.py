@@ -5,7 +5,6 @@ Truth: PROJ for the grid, the IANA database's offsets written by hand for the ti
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pyproj
@@ -22,7 +21,7 @@ from .test_page import flown as flown  # the fixture
 from .text_tables import lines_of
 
 
-def page_with(flown: Any, **mission: str) -> Page:
+def page_with(flown, **mission: str) -> Page:
     manifest = whole_manifest()
     manifest["config"]["mission"] = mission
     return page_of(manifest, flown)
@@ -55,68 +54,91 @@ def test_what_the_mission_file_says_stands_first_in_any_letters(flown):
 def test_without_those_keys_the_name_is_the_title(flown):
     page = page_of(whole_manifest(), flown)
     assert "ridge <north> & [red]south" in page.texts_of("h1")
-    for label in ("Client", "Operator", "Mission"):
-        assert label not in [text for _, text in page.texts]
+    labels = {text for _, text in page.texts}
+    assert labels.isdisjoint(["Client", "Operator", "Mission"])
 
 
 def test_a_day_that_is_another_one_here(flown):
     manifest = whole_manifest()
     manifest["config"]["mission"] = {"time_zone": "America/Los_Angeles"}
-    manifest["flight"] |= {"begin_utc": "2025-06-13T06:50:00Z", "end_utc": "2025-06-13T07:10:00Z"}
+    manifest["flight"]["begin_utc"] = "2025-06-13T06:50:00Z"
+    manifest["flight"]["end_utc"] = "2025-06-13T07:10:00Z"
     rows = cover_rows(manifest_of(manifest), flown)
     assert rows["Flown"] == (
         "2025-06-12, 23:50:00 to 2025-06-13, 00:10:00 America/Los_Angeles "
         "(2025-06-13, 06:50:00 to 07:10:00 UTC)"
     )
-    manifest["flight"] |= {"begin_utc": None, "end_utc": None}
-    assert "unknown" in cover_rows(manifest_of(manifest), flown)["Flown"]
+    manifest["flight"]["begin_utc"] = None
+    manifest["flight"]["end_utc"] = None
+    rows = cover_rows(manifest_of(manifest), flown)
+    assert "unknown" in rows["Flown"]
 
 
 def test_the_time_of_processing_has_its_zone():
     """2026-07-01 is summer time in Zurich, two hours ahead."""
     time_s = np.datetime64("2026-07-01T10:00:00").astype(np.int64)
-    assert time_of_processing(time_s, "Europe/Zurich") == "2026-07-01 12:00 Europe/Zurich"
+    in_zone = time_of_processing(time_s, "Europe/Zurich")
+    assert in_zone == "2026-07-01 12:00 Europe/Zurich"
     assert time_of_processing(time_s, None) == "2026-07-01 10:00 UTC"
 
 
 @pytest.mark.parametrize(
-    "text", ['"; } body { display: none', "</style>", "back\\slash", "line\nbreak", "é 航 ½"]
+    "text",
+    [
+        '"; } body { display: none',
+        "</style>",
+        "back\\slash",
+        "line\nbreak",
+        "é 航 ½",
+    ],
 )
 def test_a_text_in_a_style_sheet_ends_where_it_should(text):
-    string = css_text(text)
-    assert not set(string[1:-1]) & set('"<>{}\n')
-    unescaped = re.sub(r"\\([0-9a-f]+) ", lambda match: chr(int(match[1], 16)), string[1:-1])
-    assert unescaped == text
+    content = css_text(text)[1:-1]
+    assert not set(content) & set('"<>{}\n')
+    assert re.sub(r"\\([0-9a-f]+) ", character, content) == text
+
+
+def character(escape: re.Match[str]) -> str:
+    return chr(int(escape[1], 16))
 
 
 # ---------------------------------------------------------------- the metric grid
 
+START_S = 1_749_718_800
 PLACES = {
-    "zone 32 north": ((8.48, 8.72), (47.33, 47.52), "EPSG:32632"),
-    "south, near the edge of a zone": ((17.9, 18.1), (-34.0, -33.8), "EPSG:32734"),
-    "the 180th meridian": ((179.9, 180.1), (-17.1, -16.9), "EPSG:32701"),
+    "zone 32 north": ((8.48, 8.72, 47.33, 47.52), "EPSG:32632"),
+    "south, near the edge of a zone": ((17.9, 18.1, -34.0, -33.8), "EPSG:32734"),
+    "the 180th meridian": ((179.9, 180.1, -17.1, -16.9), "EPSG:32701"),
 }
 
 
-@pytest.mark.parametrize(("lon", "lat", "code"), PLACES.values(), ids=PLACES)
-def test_the_lines_of_the_grid_are_where_proj_has_them(lon, lat, code):
-    grid = metric_grid((*lon, *lat))
+@pytest.mark.parametrize(("limits", "code"), PLACES.values(), ids=PLACES)
+def test_the_lines_of_the_grid_are_where_proj_has_them(limits, code):
+    grid = metric_grid(limits)
     assert grid.identifier == code
-    lines = grid_lines(grid, lon, lat)
+    lines = grid_lines(grid, limits[:2], limits[2:])
     assert 4 <= len(lines) <= 14
     to_grid = pyproj.Transformer.from_crs("EPSG:4326", code, always_xy=True)
-    metres = {True: [], False: []}
+    eastings = []
+    northings = []
     for line in lines:
         is_drawn = np.isfinite(line.lon_deg)
-        x, y = to_grid.transform(line.lon_deg[is_drawn], line.lat_deg[is_drawn])
-        metres[line.is_easting].append(float(line.label.replace("\u202f", "")))
-        along = x if line.is_easting else y
-        np.testing.assert_allclose(along, metres[line.is_easting][-1], atol=1e-3)
-        assert (line.lon_deg[is_drawn] >= lon[0]).all()
-        assert (line.lat_deg[is_drawn] <= lat[1]).all()
-    for values in metres.values():
-        assert values
-        assert len(set(np.diff(values))) <= 1
+        longitude = line.lon_deg[is_drawn]
+        latitude = line.lat_deg[is_drawn]
+        assert longitude.min() >= limits[0]
+        assert latitude.max() <= limits[3]
+        metres = float(line.label.replace("\u202f", ""))
+        x, y = to_grid.transform(longitude, latitude)
+        if line.is_easting:
+            eastings.append(metres)
+            np.testing.assert_allclose(x, metres, atol=1e-3)
+        else:
+            northings.append(metres)
+            np.testing.assert_allclose(y, metres, atol=1e-3)
+    assert eastings
+    assert northings
+    assert len(set(np.diff(eastings))) <= 1
+    assert len(set(np.diff(northings))) <= 1
 
 
 def test_nearer_to_a_pole_there_is_no_grid(flown):
@@ -131,12 +153,15 @@ def test_the_map_has_the_grid_beside_degrees(flown):
     page = page_of(whole_manifest(), with_grid)
     for screen in ("wide", "narrow"):
         drawing = page.drawings["map", screen]
-        labels = [t.text for t in drawing.iter("text") if "metric" in (t.get("class") or "")]
+        labels = []
+        for text in drawing.iter("text"):
+            if "metric" in text.get("class", ""):
+                labels.append(text.text)
         assert len(labels) >= 3
         for label in labels:
             assert re.fullmatch("[0-9\u202f]+", label)
-        degrees = [tick for tick in texts_in(drawing, class_="tick") if "." in tick]
-        assert degrees
+        ticks = texts_in(drawing, class_="tick")
+        assert any("." in tick for tick in ticks)  # degrees
     assert "UTM zone 32S, numbers in metres" in page.text
     assert "map grid UTM zone 32S (EPSG:32732)" in page.text
 
@@ -154,28 +179,32 @@ def test_each_camera_has_a_line_with_its_own_colour_and_style(flown):
         assert len(tail) == 1  # of its two exposures one cannot be used
         assert belly[0][0] < belly[1][0]
     styles = re.findall(r"\.s(\d) \{ stroke-dasharray: ([\d ]+)", page.text)
-    assert [number for number, _ in styles] == [str(number) for number in range(2, 9)]
-    assert len({dashes for _, dashes in styles}) == 7
+    numbers, dashes = zip(*styles, strict=True)
+    assert "".join(numbers) == "2345678"
+    assert len(set(dashes)) == 7
+
+
+def test_a_camera_alone_has_no_line_of_its_own(flown):
     alone = whole_manifest()
     del alone["correction"]["cameras"]["tail"]
     del alone["flight"]["cameras"]["tail"]
-    drawings = page_of(alone, flown).drawings.values()
-    for drawing in drawings:
-        assert not [path for path in drawing.iter("path") if "line camera" in str(path.attrib)]
+    for drawing in page_of(alone, flown).drawings.values():
+        for path in drawing.iter("path"):
+            assert "line camera" not in str(path.attrib)
 
 
 def test_a_track_is_in_the_order_of_time_and_ends_with_its_strip(flown):
     seconds = np.array([30.0, 0.0, 10.0, 20.0, 500.0, 510.0, 5.0])
     exposures = {
         "image": np.array([f"i{n}" for n in range(7)], dtype=object),
-        "camera": np.array(["a"] * 6 + ["b"], dtype=object),
-        "time_ns": (1e9 * (1_749_718_800 + seconds)).astype(np.int64),
+        "camera": np.array([*"aaaaaab"], dtype=object),
+        "time_ns": (1e9 * (START_S + seconds)).astype(np.int64),
         "lat_deg": 47.0 + seconds / 1000.0,
         "lon_deg": 8.0 + seconds / 1000.0,
         "h_msl_m": 3000.0 + seconds,
         "ground_m": np.full(7, 500.0),
-        "status": np.array(["ok"] * 7, dtype=object),
-        "shown_as": np.array(["ok"] * 7),
+        "status": np.full(7, "ok", object),
+        "shown_as": np.full(7, "ok"),
     }
     track = {name: column[:0] for name, column in flown.track.items()}
     track_of_a = track_of_camera(replace(flown, exposures=exposures, track=track), "a")

@@ -3,8 +3,6 @@
 The expected texts are written by hand from the manifest, without the functions of the report.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from dataclasses import dataclass
@@ -237,7 +235,7 @@ SAMPLES = AirSamples(
 
 
 @pytest.fixture(scope="module")
-def air() -> Any:
+def air():
     adjustment = SimpleNamespace(
         profile=FLOWN,
         standard=STANDARD_AIR,
@@ -258,7 +256,7 @@ def air() -> Any:
     )
 
 
-def effect_of(row: dict[str, Any]) -> Any:
+def effect_of(row: dict[str, Any]):
     """An effect that the manifest has as this row; without a sigma the numbers are NaN."""
     numbers = {name: np.nan if value is None else value for name, value in row.items()}
     return SimpleNamespace(
@@ -273,11 +271,11 @@ def effect_of(row: dict[str, Any]) -> Any:
     )
 
 
-def changed(**of_profile: Any) -> dict[str, Any]:
+def changed(**of_profile) -> dict[str, Any]:
     return MANIFEST | {"profile": MANIFEST["profile"] | of_profile}
 
 
-def printed(write: Any, *arguments: Any, **options: Any) -> list[str]:
+def printed(write, *arguments: Any, **options) -> list[str]:
     """What is printed at 80 columns, line by line."""
     stream = io.StringIO()
     write(Console(file=stream, width=80, highlight=False), *arguments, **options)
@@ -340,19 +338,19 @@ def test_a_tiny_correction_is_called_tiny(largest, is_tiny):
     assert "refraction of the window" not in text
 
 
-def values(axis: Any, key: str) -> tuple[list[float], list[float]]:
+def values(axis, key: str) -> tuple[list[float], list[float]]:
     """The points of the line of an axis that has this label and colour."""
     lines = {f"{line.get_label()} {line.get_color()}": line for line in axis.lines}
     return list(lines[key].get_xdata()), list(lines[key].get_ydata())
 
 
-def curve(axis: Any, key: str) -> float:
+def curve(axis, key: str) -> float:
     """A curve at 2000 m."""
     x, y = values(axis, key)
     return float(np.interp(2000.0, y, x))
 
 
-def band(axis: Any) -> tuple[float, float]:
+def band(axis) -> tuple[float, float]:
     """Both edges of the one-sigma band at 2000 m."""
     (area,) = (part for part in axis.collections if isinstance(part, PolyCollection))
     assert area.get_label() == "one sigma"
@@ -449,7 +447,7 @@ def test_a_plot_is_what_its_name_says(air, tmp_path):
     save_figure(figure, tmp_path / "a.PNG")
     save_figure(figure, tmp_path / "a.svg")
     assert (tmp_path / "a.PNG").read_bytes().startswith(b"\x89PNG")
-    assert (tmp_path / "a.svg").read_text(encoding="utf-8").startswith("<?xml")
+    assert (tmp_path / "a.svg").read_text("utf-8").startswith("<?xml")
 
 
 PROFILE_ROW = yaml.safe_load("""

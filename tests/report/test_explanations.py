@@ -1,7 +1,5 @@
 """`unbend help` and `unbend schema`: keys, codes and exit codes, offline."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -9,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+import yaml
 
 from tests.helpers import refused
 from unbend.config.keys import mission_keys
@@ -96,18 +95,18 @@ def test_columns_of_results_are_explained_table_by_table():
     assert "x_displaced_px (column of observations)" in explain("x_displaced_px")
 
 
-@pytest.mark.parametrize(
-    ("word", "says"),
-    [
-        ("GCP", "Give such points under control"),
-        ("control points", "Give such points under control"),
-        ("boresight", "roll_deg, pitch_deg, yaw_deg under mount"),
-        ("lever arm", "mount.<camera>.lever_arm_m"),
-        ("lever-arm", "mount.<camera>.lever_arm_m"),
-        ("focal length", "f_px"),
-        ("R", "r_c_rad"),
-    ],
-)
+WORDS = yaml.safe_load("""
+- [GCP, Give such points under control]
+- [control points, Give such points under control]
+- [boresight, 'roll_deg, pitch_deg, yaw_deg under mount']
+- [lever arm, 'mount.<camera>.lever_arm_m']
+- [lever-arm, 'mount.<camera>.lever_arm_m']
+- [focal length, f_px]
+- ['R', r_c_rad]
+""")
+
+
+@pytest.mark.parametrize(("word", "says"), WORDS)
 def test_words_of_the_field_are_explained(word, says):
     assert says in " ".join(explain(word))
 

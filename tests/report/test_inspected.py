@@ -1,7 +1,5 @@
 """The text of `unbend inspect` of weather files, in which every number differs."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 
@@ -29,7 +27,7 @@ variables:
 """)
 
 
-def printed_lines(printer: Any, contents: Any) -> list[str]:
+def printed_lines(printer, contents) -> list[str]:
     """The lines that are printed, each with one blank between its words."""
     file = io.StringIO()
     printer(Console(file=file, width=400), contents, "era5.nc")

@@ -162,7 +162,7 @@ def flown(air) -> Flown:
 class Page(HTMLParser):
     """Tables by the heading above them, list items and paragraphs of a page, and its drawings."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str):
         super().__init__()
         self.text = text
         self.drawings: dict[tuple[str, str], ET.Element] = {}
@@ -185,17 +185,17 @@ class Page(HTMLParser):
         (caption,) = (text for text in self.texts_of("figcaption") if text.startswith(begin))
         return caption
 
-    def handle_starttag(self, tag: str, attrs: Any) -> None:
+    def handle_starttag(self, tag: str, attrs):
         self._cell = self._cell if tag in ("code", "br", "span") else ""
         if tag == "table":
             self.tables.setdefault(self._heading, []).append([])
         elif tag == "tr":
             self.tables[self._heading][-1].append([])
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data: str):
         self._cell += data
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag: str):
         cell = " ".join(self._cell.split())
         if tag in ("td", "th"):
             self.tables[self._heading][-1][-1].append(cell)
@@ -369,7 +369,7 @@ def arrows(path: str) -> np.ndarray:
     return np.array(re.findall(r"M(\S+) (\S+)l(\S+) (\S+)l", path), np.float64)
 
 
-def scale(panel: ET.Element, axis: str, value_of: Any = float) -> Any:
+def scale(panel: ET.Element, axis: str, value_of: Any = float):
     """A function from pixels to values, from the numbers at an axis: x below it, y beside it."""
     anchor = {"x": "middle", "y": "end"}[axis]
     shift = {"x": 0.0, "y": -4.0}[axis]  # a text stands on its line
@@ -394,7 +394,7 @@ def path_of(panel: ET.Element, css: str) -> str:
     return path.get("d", "")
 
 
-def places(panel: ET.Element, css: str, x: Any, y: Any) -> np.ndarray:
+def places(panel: ET.Element, css: str, x, y) -> np.ndarray:
     """(n, 2) values of the points of a path."""
     drawn = points(path_of(panel, css))
     return np.stack([x(drawn[:, 0]), y(drawn[:, 1])], axis=1)
@@ -455,13 +455,13 @@ def test_heights_against_time(page, flown, screen):
     assert len(table) == 9
 
 
-BARS = [
-    ("belly", "image", 0, 0.5, [3, 0, 17]),
-    ("belly", "ground", 0, 0.1, [11, 29]),
-    ("tail", "image", 0, 0.2, [5, 31]),
-    ("tail", "ground", 0, 0.1, [2, 37]),
-    ("ground", "height", 350, 100.0, [7, 41, 19]),
-]
+BARS = yaml.safe_load("""
+- [belly, image, 0, 0.5, [3, 0, 17]]
+- [belly, ground, 0, 0.1, [11, 29]]
+- [tail, image, 0, 0.2, [5, 31]]
+- [tail, ground, 0, 0.1, [2, 37]]
+- [ground, height, 350, 100.0, [7, 41, 19]]
+""")
 
 
 @both_screens
@@ -560,17 +560,18 @@ def test_the_table_of_the_air(page):
     assert [float(cell) for cell in standard[1:]] == pytest.approx(row, abs=0.01)
 
 
-ROWS_OF_BUDGET = [  # label, median [px], 95 % [px]
-    ("the shift itself", 1.01, 1.02),
-    ("sigma: air outside", 0.011, 0.022),
-    ("sigma: station", 0.023, 0.046),
-    ("sigma: all parts", 0.031, 0.062),
-    ("the shift itself", 2.01, 2.02),
-    ("sigma: air outside", 0.0051, 0.0102),
-    ("sigma: ground height", 0.0071, 0.0142),
-    ("sigma: air in cabin", 0.0083, 0.0166),
-    ("sigma: all parts", 0.0097, 0.0194),
-]
+# label, median [px], 95 % [px]
+ROWS_OF_BUDGET = yaml.safe_load("""
+- [the shift itself, 1.01, 1.02]
+- ["sigma: air outside", 0.011, 0.022]
+- ["sigma: station", 0.023, 0.046]
+- ["sigma: all parts", 0.031, 0.062]
+- [the shift itself, 2.01, 2.02]
+- ["sigma: air outside", 0.0051, 0.0102]
+- ["sigma: ground height", 0.0071, 0.0142]
+- ["sigma: air in cabin", 0.0083, 0.0166]
+- ["sigma: all parts", 0.0097, 0.0194]
+""")
 
 
 def test_the_budget_is_drawn_in_its_rows(page):

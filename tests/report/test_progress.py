@@ -1,7 +1,5 @@
 """The progress bar appears after a delay and never outlives its work."""
 
-from __future__ import annotations
-
 import io
 import threading
 

@@ -1,7 +1,5 @@
 """What a person reads of a run: what was done to the coordinates, and what they still hold."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 
@@ -60,7 +58,7 @@ def test_nothing_is_to_be_switched_off_where_refraction_was_put_in():
 
 
 def test_the_report_of_a_run_holds_these_lines(baseline):
-    page = (baseline.output / "report.html").read_text(encoding="utf-8")
+    page = (baseline.output / "report.html").read_text("utf-8")
     values = baseline.manifest()
     lines = not_included(Manifest(values))
     assert len(lines) == 5  # two lenses, the glass, the plumb line, the curvature

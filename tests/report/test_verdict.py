@@ -1,7 +1,5 @@
 """What a run means and what to do next, from the manifests of runs that went well or wrong."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
@@ -43,7 +41,7 @@ def run_to_verdict(mission, code: int) -> tuple[dict[str, Any], str, str]:
     return manifest, verdict, steps
 
 
-def with_heights(mission, heights) -> None:
+def with_heights(mission, heights):
     """Give the ground heights of the measurements as a function of those simulated."""
     table = mission.measurements().to_pandas()
     table["h_g_m"] = heights(table["h_g_m"])
@@ -137,16 +135,16 @@ def test_a_correction_too_small_to_matter(baseline):
     assert "not needed" not in verdict_of(manifest)
 
 
-@pytest.mark.parametrize(
-    ("cabin", "air", "end"),
-    [
-        (0.05, 0.012, "5 % of the refraction R, the air outside of 1.2 % only."),
-        (0.021, 0.13, "2.1 % of the refraction R, the air outside of 13 %."),
-        (0.03, None, "3 % of the refraction R."),
-        (0.02, 0.01, None),
-        (None, 0.01, None),
-    ],
-)
+CABINS = yaml.safe_load("""
+- [0.05, 0.012, '5 % of the refraction R, the air outside of 1.2 % only.']
+- [0.021, 0.13, '2.1 % of the refraction R, the air outside of 13 %.']
+- [0.03, null, '3 % of the refraction R.']
+- [0.02, 0.01, null]
+- [null, 0.01, null]
+""")
+
+
+@pytest.mark.parametrize(("cabin", "air", "end"), CABINS)
 def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
     manifest = baseline.manifest()
     manifest["cabin_sigma_share"]["median"] = cabin

@@ -1,11 +1,9 @@
 """Tables and lists that a test expects, as texts in which they can be read."""
 
-from __future__ import annotations
-
 
 def lines_of(text: str) -> list[str]:
     """The lines of a text, without indentation and without empty ones."""
-    lines = [line.strip() for line in text.splitlines()]
+    lines = map(str.strip, text.splitlines())
     return [line for line in lines if line]
 
 
@@ -17,6 +15,6 @@ def rows_of(text: str) -> list[list[str]]:
     """
     rows = []
     for line in lines_of(text):
-        cells = [cell.strip() for cell in line.split("|")]
-        rows.append(cells)
+        cells = map(str.strip, line.split("|"))
+        rows.append(list(cells))
     return rows

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from typing import Any
 
 
-def library_messages(reader: Any) -> Iterator[Any]:
+def library_messages(reader) -> Iterator[Any]:
     """All messages of a DFReader, which is closed behind the last one."""
     with contextlib.closing(reader):
         while (message := reader.recv_msg()) is not None:
             yield message
 
 
-def library_tables(reader: Any) -> dict[str, dict[str, list[Any]]]:
+def library_tables(reader) -> dict[str, dict[str, list[Any]]]:
     """All cells, by the name of the message and by the field."""
     tables: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
     for message in library_messages(reader):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import yaml
 from numpy.testing import assert_array_equal
 
 from tests.ingest.written_logs import DataFlashWriter
@@ -92,21 +93,21 @@ def test_an_instance_that_is_a_text_ends_no_log(opened):
     assert log.channel("BARO")["pressure_pa"].tolist() == [95_000.0 - k for k in range(ROWS)]
 
 
-@pytest.mark.parametrize(
-    ("message", "field", "letter"),
-    [
-        ("BARO", "I", "a"),
-        ("BARO", "TimeUS", "a"),
-        ("GPS", "I", "a"),
-        ("GPS", "TimeUS", "a"),
-        ("GPS", "Status", "a"),
-        ("GPS", "Status", "N"),
-        ("GPS", "GMS", "a"),
-        ("GPS", "GMS", "N"),
-        ("GPS", "GWk", "a"),
-        ("GPS", "GWk", "N"),
-    ],
-)
+IDENTITIES = yaml.safe_load("""
+- [BARO, 'I', 'a']
+- [BARO, TimeUS, 'a']
+- [GPS, 'I', 'a']
+- [GPS, TimeUS, 'a']
+- [GPS, Status, 'a']
+- [GPS, Status, 'N']
+- [GPS, GMS, 'a']
+- [GPS, GMS, 'N']
+- [GPS, GWk, 'a']
+- [GPS, GWk, 'N']
+""")
+
+
+@pytest.mark.parametrize(("message", "field", "letter"), IDENTITIES)
 def test_what_places_a_row_and_is_no_number(opened, message, field, letter):
     log = opened(flight(message, field, letter).data)
     assert ("LOG-FIELDS", message, ROWS) in {entry[:3] for entry in losses(log)}

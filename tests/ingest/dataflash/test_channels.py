@@ -23,7 +23,7 @@ def writer() -> DataFlashWriter:
     return made
 
 
-def fixes(writer: DataFlashWriter, week: int, from_us: int = 5_000_000) -> None:
+def fixes(writer: DataFlashWriter, week: int, from_us: int = 5_000_000):
     for k in range(20):
         writer.fix(
             from_us + k * 200_000,

@@ -1,9 +1,8 @@
 """DataFlash: damage that leaves whole records, in definitions and instances, is told."""
 
-from typing import Any
-
 import numpy as np
 import pytest
+import yaml
 
 from tests.ingest.dataflash.walk import walk
 from tests.ingest.written_logs import DataFlashWriter, entry_in
@@ -56,19 +55,19 @@ def test_the_log_is_whole(opened):
     assert losses(opened(flight().data)) == []
 
 
-@pytest.mark.parametrize(
-    ("message", "field", "column"),
-    [
-        ("BARO", "Press", "pressure_pa"),
-        ("HYGR", "Humidity", "relative_humidity"),
-        ("HYGR", "Temp", "temperature_k"),
-        ("GPS", "Alt", "h_msl_m"),
-        ("POS", "Alt", "h_msl_m"),
-        ("GPS", "GMS", "GMS"),
-        ("GPS", "Status", "Status"),
-        ("BARO", "TimeUS", "TimeUS"),
-    ],
-)
+FIELDS = yaml.safe_load("""
+- [BARO, Press, pressure_pa]
+- [HYGR, Humidity, relative_humidity]
+- [HYGR, Temp, temperature_k]
+- [GPS, Alt, h_msl_m]
+- [POS, Alt, h_msl_m]
+- [GPS, GMS, GMS]
+- [GPS, Status, Status]
+- [BARO, TimeUS, TimeUS]
+""")
+
+
+@pytest.mark.parametrize(("message", "field", "column"), FIELDS)
 def test_a_flipped_bit_in_the_name_of_a_field(opened, message, field, column):
     data = bytearray(flight().data)
     name_begins = data.index(
@@ -245,7 +244,7 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(monkeypatch)
     lengths_read = []
     array = FileView.array
 
-    def counted(self: FileView, begin: int, end: int) -> Any:
+    def counted(self: FileView, begin: int, end: int):
         lengths_read.append(end - begin)
         return array(self, begin, end)
 

@@ -13,7 +13,7 @@ from unbend.ingest.dataflash.binary_log import read_tables
 from unbend.ingest.message_tables import PLACE
 
 
-def assert_same(ours: np.ndarray, theirs: list[Any], name: str) -> None:
+def assert_same(ours: np.ndarray, theirs: list[Any], name: str):
     """The cells of a column are the same texts or numbers, of the same sign where they are 0."""
     if ours.dtype.kind == "U":
         assert ours.tolist() == theirs, name

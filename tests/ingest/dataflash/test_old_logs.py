@@ -44,7 +44,10 @@ def binary() -> bytes:
         name, *cells = line.split(", ")
         values: list[float | bytes] = []
         for letter, cell in zip(DEFINITIONS[name][0], cells, strict=True):
-            values.append(cell.encode() if letter == "N" else float(cell))
+            if letter == "N":
+                values.append(cell.encode())
+            else:
+                values.append(float(cell))
         writer.row(name, *values)
     return writer.data
 
@@ -68,7 +71,9 @@ def log(request, tmp_path_factory) -> Log:
 
 
 def after_first_fix_ms(log: Log, name: str) -> list[float]:
-    return ((log.channel(name).time_ns - log.channel("GPS").time_ns[0]) / 1e6).tolist()
+    first_ns = log.channel("GPS").time_ns[0]
+    after_ns = log.channel(name).time_ns - first_ns
+    return (after_ns / 1e6).tolist()
 
 
 def test_the_times_of_old_messages(log):

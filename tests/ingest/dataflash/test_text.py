@@ -16,13 +16,13 @@ from tests.logs import LOGS, at_hand
 from unbend.ingest import Log, open_log
 
 
-def as_text(binary: Path, text: Path) -> None:
+def as_text(binary: Path, text: Path):
     """What a ground station writes: one message a line, scaled fields in their unit."""
     lines = []
     for message in library_messages(DFReader_binary(str(binary))):
         cells = [str(getattr(message, field)) for field in message.get_fieldnames()]
         lines.append(", ".join([message.get_type(), *cells]))
-    text.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    text.write_text("\n".join(lines) + "\n", "utf-8")
 
 
 @pytest.fixture(scope="module", params=at_hand("gps0_lost.bin", "beastayyg_sample.bin"))
@@ -96,9 +96,6 @@ def opened(tmp_path: Path) -> Callable[[str], Log]:
         )
 
     return write_and_open
-
-
-TextOpener = Callable[[str], Log]
 
 
 def barometer(second: int, dropped: int) -> str:

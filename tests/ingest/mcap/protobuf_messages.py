@@ -1,7 +1,6 @@
 """Classes of protobuf, without their generated modules."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from google.protobuf import timestamp_pb2
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Field
@@ -10,7 +9,7 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
 
-def message_class(full_name: str, fields: Mapping[str, str]) -> Any:
+def message_class(full_name: str, fields: Mapping[str, str]):
     """A message with fields of these types, numbered from 1; "DOUBLE*" is a sequence of them.
 
     A "Timestamp" is google.protobuf.Timestamp.

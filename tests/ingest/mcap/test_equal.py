@@ -64,7 +64,7 @@ def library_messages(path: Path) -> dict[str, list[Any]]:
     return messages
 
 
-def follow(message: Any, path: str) -> Any:
+def follow(message, path: str):
     for part in path.split("."):
         if hasattr(message, "__getitem__") and part.isdigit():
             message = message[int(part)]
@@ -183,7 +183,7 @@ def test_definitions_that_make_no_sense(definition):
         steps_of("a/msg/B", definition)
 
 
-def location_fix() -> Any:
+def location_fix():
     fields = {
         "latitude": "DOUBLE",
         "longitude": "DOUBLE",

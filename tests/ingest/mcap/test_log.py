@@ -40,7 +40,7 @@ TEMPERATURE = "sensor_msgs/Temperature"
 HUMIDITY = "sensor_msgs/RelativeHumidity"
 
 
-def flight(rows: int = 60, **options: Any) -> RosWriter:
+def flight(rows: int = 60, **options) -> RosWriter:
     """A receiver, an attitude and air at 10 Hz, an image each second; recorded 7 ms late."""
     bag = RosWriter(chunk_size=4096, **options)
     for k in range(rows):

@@ -25,13 +25,13 @@ PLACE = {"latitude_deg": 47.5, "longitude_deg": 8.25, "altitude_msl_m": 600.0}
 class Recording(RosWriter):
     """Topics of PX4, recorded 3 ms late or, by a recorder without a clock, at 0."""
 
-    def __init__(self, *, has_clock: bool = True) -> None:
+    def __init__(self, *, has_clock: bool = True):
         super().__init__()
         self.has_clock = has_clock
         for kind, definition in KINDS.items():
             self.define(f"px4_msgs/{kind}", definition)
 
-    def send(self, kind: str, boot_ns: int, utc_ns: int, **fields: object) -> None:
+    def send(self, kind: str, boot_ns: int, utc_ns: int, **fields: object):
         recorded_ns = utc_ns + 3_000_000 if self.has_clock else 0
         topic = f"/fmu/out/{kind}"
         timestamp = boot_ns // 1000
@@ -39,12 +39,20 @@ class Recording(RosWriter):
 
     def fix(
         self, boot_ns: int, utc_ns: int, *, stated_utc_ns: int | None = None, fix_type: int = 3
-    ) -> None:
+    ):
         """A fix, which may state another UTC than that at which it is sent."""
-        stated_us = (utc_ns if stated_utc_ns is None else stated_utc_ns) // 1000
-        self.send("SensorGps", boot_ns, utc_ns, time_utc_usec=stated_us, fix_type=fix_type, **PLACE)
+        if stated_utc_ns is None:
+            stated_utc_ns = utc_ns
+        self.send(
+            "SensorGps",
+            boot_ns,
+            utc_ns,
+            time_utc_usec=stated_utc_ns // 1000,
+            fix_type=fix_type,
+            **PLACE,
+        )
 
-    def attitude(self, boot_ns: int, utc_ns: int) -> None:
+    def attitude(self, boot_ns: int, utc_ns: int):
         self.send(
             "VehicleAttitude",
             boot_ns,
@@ -52,7 +60,7 @@ class Recording(RosWriter):
             q=[1.0, 0.0, 0.0, 0.0],
         )
 
-    def shot(self, boot_ns: int, utc_ns: int, number: int, **fields: object) -> None:
+    def shot(self, boot_ns: int, utc_ns: int, number: int, **fields: object):
         self.send(
             "CameraCapture",
             boot_ns,
@@ -60,9 +68,7 @@ class Recording(RosWriter):
             **{"seq": number, "result": 1} | fields,
         )
 
-    def flight(
-        self, *, rows: int = 200, boot_s: int = 60, utc_s: int = 0, fix_type: int = 3
-    ) -> None:
+    def flight(self, *, rows: int = 200, boot_s: int = 60, utc_s: int = 0, fix_type: int = 3):
         """A receiver and an attitude at 5 Hz, from a time since boot and a time of the test on."""
         for k in range(rows):
             boot_ns = boot_s * SECOND + k * STEP
@@ -144,7 +150,7 @@ def test_utc_without_a_fix_counts_for_nothing(opened):
     assert not loss_codes(log)
 
 
-def take_shots(recording: Recording, utc_ahead_ns: int) -> None:
+def take_shots(recording: Recording, utc_ahead_ns: int):
     """Exposures behind the flight in the file, as from a recorder that groups topics."""
     for k in range(250):  # more than the receiver has rows
         boot_ns = 70 * SECOND + k * SECOND // 10

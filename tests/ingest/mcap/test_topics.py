@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+import yaml
 from numpy.testing import assert_array_equal
 
 from tests.helpers import with_code
@@ -32,11 +33,20 @@ Message = tuple[int, int, bytes]  # channel, log_time, data
 def cdr(time_ns: int, *values: float, head: bytes = CDR, align: int = 8) -> bytes:
     """A header and float64, in CDR (in XCDR2 aligned to 4)."""
     body = struct.pack("<iII", *divmod(time_ns, SECOND), 5) + b"base\0"
-    return head + body + bytes(-len(body) % align) + struct.pack(f"<{len(values)}d", *values)
+    padding = bytes(-len(body) % align)
+    numbers = struct.pack(f"<{len(values)}d", *values)
+    return head + body + padding + numbers
 
 
 PRESSURES = ("/p", "cdr", AIR, PRESSURE)
 TEMPERATURES = ("/t", "cdr", WARM, TEMPERATURE)
+
+
+def check_entry(log: Log, code: str, **expected: object):
+    """The only entry with this code has these values."""
+    entry = entry_in(log, code)
+    for name, value in expected.items():
+        assert getattr(entry, name) == value, name
 
 
 def warm(time_ns: int) -> Message:
@@ -66,7 +76,9 @@ def test_each_definition_of_a_topic_has_its_own_layout(opened, mixed):
     expected_pa = 9e4 + np.arange(200)
     messages = []
     for k, t in enumerate(TIMES[:200]):
-        is_swapped = k % 2 == 1 if mixed else k >= 100
+        is_swapped = k >= 100
+        if mixed:
+            is_swapped = k % 2 == 1
         if is_swapped:
             messages.append((2, t, cdr(t, 5.0, expected_pa[k])))
         else:
@@ -115,9 +127,11 @@ def test_encodings_of_a_topic_make_one_channel(opened):
 def test_schemas_of_a_topic_are_channels_apart_and_one_table(opened):
     channels = [("/air", "cdr", AIR, PRESSURE), ("/air", "cdr", WARM, TEMPERATURE)]
     messages = []
-    for pressure_time, temperature_time in zip(TIMES[:60:2], TIMES[1:60:2], strict=True):
-        messages.append((1, pressure_time, cdr(pressure_time, 9e4, 0.0)))
-        messages.append((2, temperature_time, cdr(temperature_time, 15.0, 0.0)))
+    for k, t in enumerate(TIMES[:60]):
+        if k % 2 == 0:
+            messages.append((1, t, cdr(t, 9e4, 0.0)))
+        else:
+            messages.append((2, t, cdr(t, 15.0, 0.0)))
     log = written(opened, channels, messages)
     assert log.messages == {"/air": 60}
     assert log.channel("/air (sensor_msgs/FluidPressure)").roles == ("pressure", "cabin_pressure")
@@ -156,8 +170,7 @@ def test_a_value_that_is_no_number_costs_itself(opened, odd):
     )
     expected = [3.0] * 20 + [np.nan] + [2.5, np.nan, 4.5] * 5
     assert_array_equal(log.channel("/cabin")["value"], expected)
-    entry = entry_in(log, "LOG-DECODE")
-    assert (entry.kind, entry.where, entry.count) == ("loss", "/cabin", 1)
+    check_entry(log, "LOG-DECODE", kind="loss", where="/cabin", count=1)
     assert log.message("/cabin")["time_ns"].shape == (36,)
 
 
@@ -209,10 +222,13 @@ def test_integers_are_exact_in_tables(opened):
 
 def test_integers_are_exact_where_parts_are_of_several_kinds(opened):
     values = [2**60 + k for k in range(600)]
-    odd = [2**64 - 1, None, *values[2:200], True, *values[201:350], 0.5, *values[351:]]
-    texts = [json.dumps(value) for value in odd]
+    values[0] = 2**64 - 1
+    values[1] = None
+    values[200] = True
+    values[350] = 0.5
+    texts = list(map(json.dumps, values))
     log = readings(opened, texts, PAD_TO_SEVERAL_BATCHES)
-    assert log.message("/cabin")["value"].tolist() == odd
+    assert log.message("/cabin")["value"].tolist() == values
 
 
 def test_protobuf_integers_are_exact(tmp_path):
@@ -252,7 +268,13 @@ def test_protobuf_integers_are_exact(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("head", "align"), [(b"\0\2\0\0", 8), (b"\0\3\0\0", 8), (b"\0\7\0\0", 4), (b"\0\x0b\0\0", 4)]
+    ("head", "align"),
+    [
+        (b"\0\2\0\0", 8),
+        (b"\0\3\0\0", 8),
+        (b"\0\7\0\0", 4),
+        (b"\0\x0b\0\0", 4),
+    ],
 )
 def test_other_encapsulations_are_no_cdr(opened, head, align):
     messages = [(1, t, cdr(t, 9e4, 1.0)) for t in TIMES[:10]]
@@ -263,8 +285,7 @@ def test_other_encapsulations_are_no_cdr(opened, head, align):
         messages,
     )
     assert log.channel("/p")["pressure_pa"].tolist() == [9e4] * 10
-    entry = entry_in(log, "LOG-DECODE")
-    assert (entry.kind, entry.where, entry.count) == ("loss", "/p", 10)
+    check_entry(log, "LOG-DECODE", kind="loss", where="/p", count=10)
 
 
 def test_elements_of_long_arrays_are_found_without_the_others():
@@ -337,8 +358,7 @@ def test_chunks_in_another_order_lose_nothing(opened):
         log.channel("/p")["pressure_pa"],
         9e4 + np.arange(300),
     )
-    entry = entry_in(log, "LOG-REORDERED")
-    assert (entry.kind, entry.where, entry.count) == ("note", "/p, first at row 100", 100)
+    check_entry(log, "LOG-REORDERED", kind="note", where="/p, first at row 100", count=100)
 
 
 def test_a_gap_shows_among_chunks_in_another_order(opened):
@@ -349,8 +369,7 @@ def test_a_gap_shows_among_chunks_in_another_order(opened):
         [TIMES[k] for k in order],
     )
     assert log.lost_messages == 7
-    entry = entry_in(log, "LOG-LINK-LOSS")
-    assert (entry.kind, entry.where, entry.count) == ("finding", "/p", 7)
+    check_entry(log, "LOG-LINK-LOSS", kind="finding", where="/p", count=7)
 
 
 def test_a_recorder_that_counts_anew_hides_no_gap(opened):
@@ -410,23 +429,26 @@ def test_stamps_are_compared_with_the_recorders_clock(opened, early_s, kinds):
     assert [entry.kind for entry in with_code(log.ledger, "TIME-SOURCES")] == kinds
 
 
+STORED = """
+bool: ["01", 1]
+byte: ["f0", 240]
+char: ["f0", -16]
+int8: ["f0", -16]
+uint8: ["f0", 240]
+int16: ["feff", -2]
+uint16: ["feff", 65534]
+int32: ["feffffff", -2]
+uint32: ["feffffff", 4294967294]
+int64: ["feffffffffffffff", -2]
+uint64: ["feffffffffffffff", 18446744073709551614]
+float32: ["0000c0bf", -1.5]
+float64: ["000000000000f8bf", -1.5]
+"""
+
+
 def test_each_kind_is_read_as_ros_2_stores_it():
     """Values of which the size, the sign and the point count: by hand, little endian."""
-    stored = {
-        "bool": ("01", 1),
-        "byte": ("f0", 240),
-        "char": ("f0", -16),
-        "int8": ("f0", -16),
-        "uint8": ("f0", 240),
-        "int16": ("feff", -2),
-        "uint16": ("feff", 65534),
-        "int32": ("feffffff", -2),
-        "uint32": ("feffffff", 4294967294),
-        "int64": ("feffffffffffffff", -2),
-        "uint64": ("feffffffffffffff", 18446744073709551614),
-        "float32": ("0000c0bf", -1.5),
-        "float64": ("000000000000f8bf", -1.5),
-    }
+    stored = yaml.safe_load(STORED)
     assert set(stored) == set(KINDS)
     for kind, (content, value) in stored.items():
         (number,) = np.frombuffer(

@@ -20,7 +20,7 @@ PLACE = {"lat": 475_000_000, "lon": 80_000_000, "alt": 600_000}
 class Bus(MavlinkWriter):
     """Messages of some components, an attitude of the autopilot each second, as received."""
 
-    def vehicle(self, boot_ms: int, utc_us: int) -> None:
+    def vehicle(self, boot_ms: int, utc_us: int):
         """Received 0.2 s late, by the ground station's clock."""
         at_us = utc_us + 200_000
         self.send("system_time", at_us, time_unix_usec=utc_us, time_boot_ms=boot_ms)

@@ -28,11 +28,11 @@ PLACE = {"lat": 470_000_000, "lng": -1_225_000_000}
 class Vehicle(MavlinkWriter):
     """Messages sent at times since boot, 40 ms before they arrive."""
 
-    def sent(self, name: str, at_ms: int, /, **fields: object) -> None:
+    def sent(self, name: str, at_ms: int, /, **fields: object):
         received_us = START_US + (at_ms - 60_000) * 1000 + 40_000
         self.send(name, received_us, **fields)
 
-    def utc(self, ms: int, at_ms: int | None = None) -> None:
+    def utc(self, ms: int, at_ms: int | None = None):
         """The vehicle's clock, and UTC by it."""
         at_ms = ms if at_ms is None else at_ms
         self.sent(
@@ -46,7 +46,7 @@ class Vehicle(MavlinkWriter):
         """Which frames are of system 1, component 1."""
         return [k for k, frame in enumerate(self.frames) if frame[13:15] == b"\x01\x01"]
 
-    def flip(self, frame: int, byte: int, bits: int) -> None:
+    def flip(self, frame: int, byte: int, bits: int):
         flipped = bytearray(self.frames[frame])
         flipped[byte] ^= bits
         self.frames[frame] = bytes(flipped)

@@ -411,7 +411,7 @@ def regular() -> tuple[bytes, list[bytes]]:
     head = writer.data
     rows = []
 
-    def row(name: str, layout: str, *values: float) -> None:
+    def row(name: str, layout: str, *values: float):
         writer.data = b""
         writer.row(name, layout, *values)
         rows.append(writer.data)
