@@ -66,7 +66,7 @@ class Spread:
         """One sigma of relative humidity (0 to 1) at heights ``h`` [m above sea level]."""
         return np.interp(np.asarray(h, np.float64), self.h_m, self.relative_humidity)
 
-    def about(self, profile: Profile, expected: Profile) -> Spread:
+    def with_difference(self, profile: Profile, expected: Profile) -> Spread:
         """The spread about another profile than the expected: their difference is part of it."""
         inside = (self.h_m <= profile.top_m) & (self.h_m <= expected.top_m)
         h = self.h_m[inside]
@@ -179,7 +179,7 @@ def climatology(
         origin = f"{model.origin}; the lowest 3 km by the hour of the day, from public ascents"
     else:
         profile = model.profile(place, index)
-        spread = spread.about(profile, expected)
+        spread = spread.with_difference(profile, expected)
         origin = model.origin
     return Climatology(
         profile=profile,
@@ -222,9 +222,10 @@ def _expected_profile(
 def _spread_over_the_year(place: SeasonAndPlace, ground_h_m: float, index: IndexModel) -> Spread:
     """The spread about the middle of the year, at a place where the day is not known.
 
-    Mid-winter and mid-summer are half of their difference away. That counts as one sigma, beside
-    the weather of the season in which it is larger: most flights are of one season, and have to be
-    covered there.
+    ``place.month`` is then that of spring. The difference of the profile of mid-winter, or of
+    mid-summer, from that of the middle is added to the season's own spread, as one sigma. Of both
+    seasons the larger is taken, part by part and height by height: most flights are of one season,
+    and have to be covered there.
     """
     latitude_rad = place.latitude_rad or 0.0
     middle_day = DailyCycle(latitude_rad, place.month, ground_h_m)
@@ -234,7 +235,7 @@ def _spread_over_the_year(place: SeasonAndPlace, ground_h_m: float, index: Index
         daily = DailyCycle(latitude_rad, month, ground_h_m)
         extreme = _expected_profile(replace(place, month=month), daily, None, index)
         of_season = expected_spread(latitude_rad, month, ground_h_m)
-        spreads.append(of_season.about(extreme, middle))
+        spreads.append(of_season.with_difference(extreme, middle))
     winter, summer = spreads
     return replace(
         winter,

@@ -211,18 +211,19 @@ def intersect(
     All that changes the rays or the stations is a hypothesis whose ``log_likelihood`` may be
     compared with others of the same rays: another assignment (`Orientations.assigned`), mount
     (`turned`), focal length or time offset. Rays of images without orientation count as bad ones.
-    Linear in the errors of stations: where their attitude is not known to a degree, the square of
-    its sigma is added to the pixel's.
+    Linear in the errors of stations. What the second order of an attitude's error makes, about the
+    square of its sigma [rad], is added in quadrature to the sigma of a ray; it matters from about a
+    degree.
     """
     by_point = sorted_rays(orientations, rays)
     bad = np.zeros(by_point.sigma.shape, np.bool_)
-    contradictions = 0
+    contradicted_points = 0  # in all rounds
     fit = fitted_points(by_point, orientations, by_point.oriented, minimum_angle_rad)
     for _ in range(MAX_SEARCHES):
         contradicting = contradicting_rays(by_point, fit)
         if not np.any(contradicting):
             break
-        contradictions += int(np.sum(by_point.sums(contradicting * 1) > 0))
+        contradicted_points += int(np.sum(by_point.sums(contradicting * 1) > 0))
         bad |= contradicting
         fit = fitted_points(by_point, orientations, by_point.oriented & ~bad, minimum_angle_rad)
 
@@ -233,7 +234,7 @@ def intersect(
     misfit = misfit_of(chi_square, redundancy)
     given = by_point.sums(np.ones(by_point.sigma.size, np.int64))
     lost = redundancy_of(given, has_height) - redundancy
-    misfit += lost * log_width_of_bad(by_point) - contradictions * LOG_BAD
+    misfit += lost * log_width_of_bad(by_point) - contradicted_points * LOG_BAD
     as_given = np.argsort(by_point.order)
     used = fit.count >= 2
     return Intersection(

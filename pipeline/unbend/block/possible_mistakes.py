@@ -38,7 +38,7 @@ SCALES = (0.25, 0.5, 2.0 / 3.0, 0.8, 1.25, 1.5, 2.0, 4.0)  # of images, or of cr
 SENSOR_WIDTHS_MM = (6.2, 13.2, 17.3, 23.5, 36.0, 43.8, 53.4)
 SHORTEST_FOCAL = 0.2  # of the width of the image: a shorter one is that in millimetres
 TIMES_S = (0.5, 1.0, 2.0, 5.0, 10.0, 18.0, 60.0, 1800.0, 3600.0, 7200.0)  # 18 leap seconds
-TURNS_DEG = (
+MORE_ROLL_PITCH_YAW_DEG = (
     (0, 0, 90),
     (0, 0, -90),
     (0, 0, 180),
@@ -47,7 +47,7 @@ TURNS_DEG = (
     (90, 0, 0),
     (-90, 0, 0),
     (0, 180, 0),
-)  # of roll, pitch and yaw of a mount
+)  # that a mount may have more than stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,19 +277,19 @@ def later_exposures(reading: Reading, seconds: float) -> PossibleMistake:
 def scaled_focal(
     reading: Reading, cameras: tuple[str, ...], factor: float, label: str = ""
 ) -> PossibleMistake:
-    """Longer principal distances of some cameras, by the natural logarithm of their ratio."""
+    """Other principal distances of some cameras; the amount is ln(other / stated)."""
 
     def scaled(log_scale: float) -> Reading:
         scale = np.exp(log_scale)
-        longer = {}
+        scaled_cameras = {}
         for name in cameras:
             camera = reading.cameras[name]
-            longer[name] = replace(
+            scaled_cameras[name] = replace(
                 camera,
                 fx_px=camera.fx_px * scale,
                 fy_px=camera.fy_px * scale,
             )
-        return reading.with_cameras(longer)
+        return reading.with_cameras(scaled_cameras)
 
     return PossibleMistake(
         "TIES-FOCAL",
@@ -425,9 +425,9 @@ def mistaken_mounts(
     other_angles = {}
     for label, change in (UNIT_MISTAKES | ANGLE_MISTAKES).items():
         other_angles[label] = np.array(change(*angles))
-    for turn_deg in TURNS_DEG:
-        label = f"with {turn_deg} deg more of roll, pitch and yaw"
-        other_angles[label] = angles + np.radians(turn_deg)
+    for more_deg in MORE_ROLL_PITCH_YAW_DEG:
+        label = f"with {more_deg} deg more of roll, pitch and yaw"
+        other_angles[label] = angles + np.radians(more_deg)
     body_from_camera = mission.camera_from_body(camera).T
     for label, mistaken in other_angles.items():
         if not np.allclose(mistaken, angles):

@@ -34,8 +34,9 @@ def composed(name: str) -> str:
 def without_differences(name: str, differences: Collection[str]) -> str:
     """A name without the listed differences: case, extension, folder, marks before digits.
 
-    ``differences`` : which of these are taken away. One ``#`` stands for the zeros, blanks, lines
-    and underscores before digits. Characters come composed: file systems differ in that.
+    ``differences`` : which of these are taken away. In front of each group of digits, one ``#``
+    replaces its zeros, blanks, hyphens and underscores, or is added where there are none.
+    Characters come composed: file systems differ in that.
 
     >>> without_differences("left/DSC_0001.JPG", DIFFERENCES)
     'dsc#1'

@@ -35,11 +35,11 @@ def one_angle(
     """One refraction angle through a standard atmosphere, as ``unbend angle`` prints it.
 
     Heights [m above sea level], nadir angle [degrees], formula of the index (with its light, or by
-    its name), radius of the earth [m]; ``distance`` [m] is the slant range, which decides where the
-    ray meets the ground's height twice; published methods know the near crossing only. ``status``
-    is ``ok``, ``beyond_grazing`` (twice, the near crossing taken for want of a distance) or
-    ``far_branch``. ``ground_m`` is None where the straight apparent ray passes over the horizon and
-    only the bent one lands.
+    its name), radius of the earth [m]. ``distance`` [m] is the slant range: if the ray crosses the
+    ground's height twice, it says which crossing is meant. Published methods know only the near
+    one. ``status`` is ``ok``; ``beyond_grazing`` for two crossings without a distance, of which the
+    near one is taken; or ``far_branch`` if the far one is meant. ``ground_m`` is None where the
+    straight apparent ray passes over the horizon and only the bent one lands.
 
     >>> round(one_angle("us1976", 1e4, 0.0, 75.0, index="gyer")["r_c_arcsec"], 6)
     61.778543

@@ -200,8 +200,8 @@ def table_6(air: Profile) -> Iterator[Figures]:
     # A rounding error above the true angle would already miss the ground.
     above_ground = zeta_c - _ABOVE_GROUND_RAD
     exact = np.asarray(refraction_angle(air, h_c, h_g, above_ground, GYER_RADIUS_M))
-    # His distance is the arc at sea level. It cannot be had from the exact R_c, 1 arcsec of which
-    # is 2 km of it.
+    # His distance is the arc at sea level. It has no exact value here: computed from the exact R_c
+    # it would be uncertain, since 1 arcsec of R_c makes 2 km of distance.
     radius = np.full(h_c.shape, GYER_RADIUS_M)
     theta = subtended_angle(air, h_c, h_g, zeta_c, radius, step=STEP_M)
     figures = partial(Figures, table="6", h_c_m=h_c, h_g_m=h_g, zeta_c_deg=zeta_c_deg)

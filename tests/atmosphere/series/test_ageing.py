@@ -75,7 +75,7 @@ def test_exposures_of_a_quarter_of_an_hour_share_the_age_of_their_air():
     groups = group_exposures(series, begin_ns + seconds * 10**9, None)
 
     assert groups.group.tolist() == [0, 0, 1, 2]
-    since_begin_s = (np.array(groups.middle_ns) - begin_ns) / 1e9
+    since_begin_s = (np.array(groups.mean_ns) - begin_ns) / 1e9
     assert since_begin_s.tolist() == [449.5, 900.0, 1800.0]
 
 

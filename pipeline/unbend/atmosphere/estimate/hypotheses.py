@@ -143,9 +143,10 @@ class Evidence:
 def probabilities(solved: Sequence[Evidence], sets: Sequence[Readings]) -> NDArray[np.float64]:
     """How probable each hypothesis is with the readings.
 
-    The first is that of usual sensors. Readings weigh in all of them as in the one that fits them
-    best, whose sigmas were inflated least: a hypothesis must not excuse its misfit by larger
-    sigmas.
+    The first is that of usual sensors. All are judged with the same weights of the readings: those
+    of the hypothesis whose sigmas were inflated least. So no hypothesis excuses its misfit by
+    larger sigmas. Where nothing measures temperature, the chances of all faults together are at
+    most `MOST_BY_CLIMATOLOGY`.
     """
     best = min(solved, key=lambda evidence: evidence.log_sigma)
     logs = np.zeros(len(solved))
@@ -153,9 +154,9 @@ def probabilities(solved: Sequence[Evidence], sets: Sequence[Readings]) -> NDArr
         logs[number] = np.log(evidence.share) + _log_likelihood(evidence, sets, best.weights)
     chances = np.exp(logs - logs.max())
     chances /= chances.sum()
-    is_measured = any(readings.quantity == "temperature" for readings in sets)
+    has_temperature = any(readings.quantity == "temperature" for readings in sets)
     of_faults = float(chances[1:].sum())
-    if not is_measured and of_faults > MOST_BY_CLIMATOLOGY:
+    if not has_temperature and of_faults > MOST_BY_CLIMATOLOGY:
         chances[1:] *= MOST_BY_CLIMATOLOGY / of_faults
         chances[0] = 1.0 - MOST_BY_CLIMATOLOGY
     return np.asarray(chances)

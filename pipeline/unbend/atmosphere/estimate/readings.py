@@ -207,18 +207,18 @@ def _sensor_readings(
     end_ns = max(int(sensor.time_ns[-1]) for sensor in instruments.values())
     duration_s = max((end_ns - start_ns) * 1e-9, 1.0)
     binning = _Binning.of_flight(instruments, profile, start_ns, duration_s)
-    is_alone = "temperature" not in instruments
-    knots = drift_knots(duration_s, settings, alone=is_alone)
+    has_thermometer = "temperature" in instruments
+    knots = drift_knots(duration_s, settings, with_thermometer=has_thermometer)
     barometer = instruments.get("pressure")
     if barometer is not None:
         _add_barometer(readings, barometer, samples, binning, settings)
-        drift = barometer_drift(knots, settings, alone=is_alone)
+        drift = barometer_drift(knots, settings, with_thermometer=has_thermometer)
         readings.drifts.append(drift)
     thermometer = instruments.get("temperature")
     if thermometer is not None:
         conditions = _Conditions(
             samples.airspeed,
-            _takeoffs(samples, instruments.get("pressure", thermometer), start_ns),
+            _takeoffs(samples, thermometer if barometer is None else barometer, start_ns),
             binning.flown_heights(thermometer),
         )
         _add_thermometer(readings, thermometer, conditions, binning, settings)

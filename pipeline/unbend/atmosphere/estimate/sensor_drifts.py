@@ -32,19 +32,20 @@ _THERMOMETER_DRIFT_S = 900.0  # correlation time of the drift
 _BAROMETER_DRIFT_S = 1200.0
 
 
-def drift_knots(duration_s: float, settings: SensorSettings, *, alone: bool) -> Array:
-    """Knots (k,) [s] of the drifts of a flight; ``alone`` without a thermometer."""
-    step_s = ALONE_STEP_S if alone or settings.usual_errors_only else DRIFT_STEP_S
+def drift_knots(duration_s: float, settings: SensorSettings, *, with_thermometer: bool) -> Array:
+    """Knots (k,) [s] of the drifts of a flight, whose sensors may include a thermometer."""
+    is_coarse = settings.usual_errors_only or not with_thermometer
+    step_s = ALONE_STEP_S if is_coarse else DRIFT_STEP_S
     steps = min(MOST_DRIFT_STEPS, int(duration_s / step_s))
     return np.linspace(0.0, duration_s, 2 + steps)
 
 
-def barometer_drift(knots: Array, settings: SensorSettings, *, alone: bool) -> Drift:
+def barometer_drift(knots: Array, settings: SensorSettings, *, with_thermometer: bool) -> Drift:
     """How a barometer and GNSS heights drift, beside a thermometer or alone."""
     least, most = BAROMETER_SCALES
     if settings.usual_errors_only:
         most = 1.0
-    elif not alone:
+    elif with_thermometer:
         least = 1.0
     return Drift(
         SensorFault.BAROMETER_DRIFT,

@@ -240,7 +240,7 @@ def add_ageing(
     if time_ns.size == 0:
         return series, ()
     groups = group_exposures(series, time_ns, path)
-    ages = sample_ages(samples, groups.middle_ns, h_g, h_c, path)
+    ages = sample_ages(samples, groups.mean_ns, h_g, h_c, path)
     if all(age.is_fresh for age in ages):
         return series, ()
     airs: list[TimedProfile] = []
@@ -250,7 +250,7 @@ def add_ageing(
         number = int(groups.profile_number[i])
         air = series.timed_profiles[number]
         if not age.is_fresh:
-            air = replace(air, time_ns=groups.middle_ns[i], ages=age)
+            air = replace(air, time_ns=groups.mean_ns[i], ages=age)
         elif number in place_of_fresh:
             place_of_group[i] = place_of_fresh[number]
             continue
@@ -273,7 +273,7 @@ class ExposureGroups(NamedTuple):
 
     group: Integers
     profile_number: Integers
-    middle_ns: list[int]
+    mean_ns: list[int]
 
 
 def group_exposures(
@@ -292,8 +292,8 @@ def group_exposures(
     group = group.ravel()
     seconds = (time_ns - start_ns) * 1e-9
     mean_s = np.bincount(group, seconds) / np.bincount(group)
-    middle_ns = [start_ns + round(float(mean) * 1e9) for mean in mean_s]
-    return ExposureGroups(group, keys_of_groups[0], middle_ns)
+    mean_ns = [start_ns + round(float(mean) * 1e9) for mean in mean_s]
+    return ExposureGroups(group, keys_of_groups[0], mean_ns)
 
 
 def interpolate_profiles(

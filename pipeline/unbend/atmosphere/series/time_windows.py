@@ -137,7 +137,8 @@ def estimate_windows(
 
     A window whose estimate fails its checks, or predicts its own held-out readings worse than the
     whole flight does, keeps the air of the whole. One profile is enough where R departs from that
-    of the whole by less than its own sigma, RMS over the windows.
+    of the whole by less than `SIGNIFICANT` of its own sigmas, RMS over the windows that have an
+    estimate of their own.
     """
     if whole.samples is None or whole.covariance is None or whole.moisture is None:
         return (), ()
@@ -146,23 +147,24 @@ def estimate_windows(
         return (), ()
     hours = (parts[-1][1] - parts[0][0]) / 3.6e12
     background = _whole_flight_as_background(whole.covariance, whole.moisture.spread, hours)
-    anywhere = ageing.SampleAges(
+    # The whole flight's air as of one window: uncertain by what air changes in all its hours.
+    ages = ageing.SampleAges(
         h_m=np.array([whole.covariance.anchor_height_m]),
         hours=np.array([hours]),
     )
-    aged = ageing.covariance_with_ageing(whole.covariance, anywhere)
-    changed = TimedProfile(None, whole.profile, aged)
+    widened_covariance = ageing.covariance_with_ageing(whole.covariance, ages)
+    whole_air = TimedProfile(None, whole.profile, widened_covariance)
     windows = []
     for start_ns, end_ns in parts:
         part = part_of_flight(whole.samples, start_ns, end_ns)
         middle_ns = _middle_of_part(part, start_ns, end_ns)
         air, why_not = _air_of_part(part, middle_ns, whole, background)
         if air is None or air.own_covariance is None:
-            # The whole's air, changed as over the flight.
-            air = replace(changed, time_ns=middle_ns)
+            # It has no estimate of its own that can be used.
+            air = replace(whole_air, time_ns=middle_ns)
             windows.append(TimeWindow(start_ns, end_ns, air, why_not=why_not))
             continue
-        change = air.change_from(changed, h_c, h_g)
+        change = air.change_from(whole_air, h_c, h_g)
         sigma = air.own_covariance.relative_sigma(max(h_c), h_g)
         windows.append(TimeWindow(start_ns, end_ns, air, change, sigma))
     return _windows_if_significant(windows, hours, utc_known=whole.utc_known)

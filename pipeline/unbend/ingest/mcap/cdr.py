@@ -455,9 +455,9 @@ def _skip_one_by_one(cursors: _Cursors, step: SequenceField, count: Integers) ->
 def _skip_numbers(cursors: _Cursors, run: NumberRun, count: Integers) -> None:
     """Move behind ``count`` elements, each of them the numbers of a run.
 
-    Only before an element there are bytes that align it: a sequence without elements has none. The
-    bytes of an element depend on where it begins modulo `ALIGN`; so do those of 2, 4, 8 ...
-    elements, of which the ``count`` elements are put together.
+    Bytes that align stand only in front of an element, so an empty sequence has none. The size of
+    an element depends on its phase, which is its place modulo `ALIGN`. The sizes of 2, 4, 8 ...
+    elements at each phase follow by doubling; the binary digits of ``count`` say which to add.
     """
     phases = np.arange(ALIGN)
     sizes = [_layout(run, frozenset(), phase, big=False).size for phase in phases.tolist()]

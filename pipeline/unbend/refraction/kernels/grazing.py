@@ -432,8 +432,8 @@ def _crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untype
     # The ray is symmetric about its lowest point P_90: it rises from h_g to h_c over the same angle
     # over which it came down from h_c to h_g.
     near_theta = subtended(table, ray, h_g, ray.h_c, is_level_at_low=False)
-    theta_to_rise = subtended_to_rise(table, ray)  # from h_c through P_90 up to h_c again
-    far_theta = theta_to_rise - near_theta
+    theta_back_to_h_c = subtended_to_rise(table, ray)  # from h_c through P_90 up to h_c again
+    far_theta = theta_back_to_h_c - near_theta
     near = math.sqrt(chord2(ray, near_theta, h_g))
     far = math.sqrt(chord2(ray, far_theta, h_g))
     if abs(far - distance) < abs(near - distance):
@@ -445,12 +445,13 @@ def _crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untype
 def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
     """R_c [rad] from the subtended angle (Gyer 1996, Eq. 11, 12, 15), good at and beyond grazing.
 
-    NaN where the ray does not reach h_g.
+    Of the near crossing where the ray crosses h_g twice. NaN where it does not reach h_g.
     """
     h_c = ray.h_c
-    if h_g > h_c and ray.cos_c > 0.0:  # down through P_90 and up again
-        theta_to_rise = subtended_to_rise(table, ray)
-        theta = theta_to_rise + subtended(table, ray, h_c, h_g, is_level_at_low=False)
+    if h_g > h_c and ray.cos_c > 0.0:
+        # From h_c down through P_90 and up to h_c again, then on to h_g.
+        theta_back_to_h_c = subtended_to_rise(table, ray)
+        theta = theta_back_to_h_c + subtended(table, ray, h_c, h_g, is_level_at_low=False)
     else:
         low = min(h_c, h_g)
         high = max(h_c, h_g)

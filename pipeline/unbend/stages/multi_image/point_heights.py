@@ -34,7 +34,7 @@ from unbend.tables.name_hashes import hashes_of, rows_among
 from unbend.tables.observations import Batch, Observations
 from unbend.units import WGS84_A, Array, Integers
 
-STEEPEST = 20.0  # flying heights: points farther away are seen at more than 87 deg
+FARTHEST_IN_HEIGHTS = 20.0  # flying heights: farther points are seen at more than 87 deg
 LOWEST_FLIGHT_M = 50.0  # above the points: a lower flight counts as one of this height
 CHECKED_ROWS = 100_000  # first rows whose points are compared with their stations
 LIKELY_EXCHANGED = 0.1  # exchanged coordinates are likely if they give so small a part of distances
@@ -135,20 +135,20 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
     is_known = np.isfinite(seen.distance_m)
     if not bool(is_known.any()):
         return
-    usual_m = float(np.median(seen.distance_m[is_known]))
-    is_near = usual_m < STEEPEST * np.median(seen.above_m[is_known])
+    median_m = float(np.median(seen.distance_m[is_known]))
+    is_near = median_m < FARTHEST_IN_HEIGHTS * np.median(seen.above_m[is_known])
     if is_near:
         return
     likely_cause = ""
     exchanged_m = float(np.nanmedian(seen.distance_exchanged_m))
-    if exchanged_m < LIKELY_EXCHANGED * usual_m:
+    if exchanged_m < LIKELY_EXCHANGED * median_m:
         likely_cause = f"; with latitude and longitude exchanged {exchanged_m / 1000.0:.0f} km"
     horizon_m = float(np.median(np.sqrt(2.0 * WGS84_A * seen.above_m[is_known])))
-    if usual_m > horizon_m:
-        raise messages.points_beyond_horizon(where=where, km=usual_m / 1000.0, other=likely_cause)
+    if median_m > horizon_m:
+        raise messages.points_beyond_horizon(where=where, km=median_m / 1000.0, other=likely_cause)
     count = int(is_known.sum())
     ledger.add(
-        messages.points_far(where=where, count=count, km=usual_m / 1000.0, other=likely_cause)
+        messages.points_far(where=where, count=count, km=median_m / 1000.0, other=likely_cause)
     )
 
 

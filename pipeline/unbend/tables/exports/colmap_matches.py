@@ -43,10 +43,11 @@ class _CopiedImage:
 
 
 def copied_rows(block: ExportedBlock, source: Path) -> Iterator[Row]:
-    """Rows of both tables as the database that was read has them, with the keypoints' places here.
+    """Rows of ``matches`` and ``two_view_geometries`` of the database that was read.
 
-    Its keypoints are the points ``image:index``. Matches of those that are left out are left out;
-    of the geometries the configuration is kept, and not the matrices, which are of bent rays.
+    The keypoint ``index`` of an image is the block's point ``image:index``. Its index is replaced
+    by that in the exported image; matches of keypoints that were left out are left out. Of a
+    geometry the configuration is kept, not the matrices, which are of bent rays.
     Refuses (InputError IMPORT-FORMAT) a database without these tables, and matches cut short.
     """
     copied = _copied_images(block)
@@ -54,13 +55,13 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[Row]:
         for table in ("matches", "two_view_geometries"):
             for pair in _pairs_read(database, source, table):
                 if pair.first in copied and pair.second in copied:
-                    row = _copied_pair(
+                    pair_and_matches = _copied_pair(
                         pair.matches,
                         copied[pair.first],
                         copied[pair.second],
                     )
-                    if row is not None:
-                        yield table, *row, *pair.configuration
+                    if pair_and_matches is not None:
+                        yield table, *pair_and_matches, *pair.configuration
 
 
 @dataclass(frozen=True, eq=False)

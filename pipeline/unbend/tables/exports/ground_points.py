@@ -195,7 +195,8 @@ def shifts(
 ) -> tuple[Array, Array]:
     """(n,) shifts [m on the ground] along the axes of the grid, or to the east and north.
 
-    ``xy`` are the coordinates of ``true``. The scale of the grid is not in them.
+    ``xy`` are the coordinates of ``true``. In a map grid shifts have its directions, but their
+    length is that on the ground: the scale of the projection is taken out.
     """
     meridian, prime_vertical = principal_radii(true.lat_rad)
     lon_difference = wrapped(true.lon_rad - apparent.lon_rad)
@@ -206,10 +207,10 @@ def shifts(
     x, y = grid.coordinates(apparent.lat_rad, apparent.lon_rad)
     along_x = xy[0] - x
     along_y = xy[1] - y
-    in_grid = np.hypot(along_x, along_y)
-    is_moved = in_grid > 0.0
-    metres = np.hypot(east, north) / np.where(is_moved, in_grid, 1.0)
-    return metres * along_x, metres * along_y
+    length_in_grid = np.hypot(along_x, along_y)
+    is_moved = length_in_grid > 0.0
+    metres_per_unit = np.hypot(east, north) / np.where(is_moved, length_in_grid, 1.0)
+    return metres_per_unit * along_x, metres_per_unit * along_y
 
 
 def point_columns(grid: MapGrid, points: PointsOnGround) -> dict[str, Array]:
