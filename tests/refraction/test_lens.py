@@ -1,14 +1,16 @@
 """The lens in the air, with the figures of Meier. Expected values by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from tests.refraction.comparing import assert_close, assert_near
-from tests.refraction.images import PINHOLE, corrected, exposure
+from tests.refraction.images import PINHOLE, RADIUS, corrected, exposure, looking
 from unbend.atmosphere import standard_atmosphere
-from unbend.refraction import LensInAir, ray_table
+from unbend.refraction import BrownConrady, LensInAir, ray_table
 from unbend.refraction.camera.camera import is_absurd, principal_change
 
 # A lens of 153 mm on pixels of 7.65 um, calibrated on the ground.
@@ -18,6 +20,10 @@ REFERENCE_K = 293.15
 # At 6 km in US 1976, and in a cabin kept at 701.2 hPa and 21.1 degC.
 AT_6_KM = (47_217.6, 249.187)
 IN_CABIN = (70_120.0, 294.26)
+
+# Heights of a camera and of the ground [m].
+H_C = 3450.0
+H_G = 500.0
 
 
 @pytest.mark.parametrize(
@@ -78,3 +84,39 @@ def test_a_longer_principal_distance_puts_the_same_ray_farther_out():
     assert_near(changed.dx_px - calibrated.dx_px, -12.0 * u, 1e-9)
     assert_near(changed.dy_px - calibrated.dy_px, -12.0 * v, 1e-9)
     assert_close(changed.r_c_rad, calibrated.r_c_rad, rtol=1e-12)
+
+
+def on_the_ground(rotation, u, v, h_c, h_g):
+    """Where a straight line of the camera meets a height, from the earth's centre [m]."""
+    inside = np.array([u, v, 1.0]) / math.sqrt(u * u + v * v + 1.0)
+    direction = rotation.T @ inside
+    from_centre = RADIUS + h_c
+    along = from_centre * direction[2]
+    square_difference = (h_c - h_g) * (2.0 * RADIUS + h_c + h_g)
+    reach = -along - math.sqrt(along**2 - square_difference)
+    return np.array([0.0, 0.0, from_centre]) + reach * direction
+
+
+@pytest.mark.parametrize("k1", [0.0, -0.03])
+def test_metres_on_the_ground_are_those_of_the_shift_in_the_image(k1):
+    """From where the stated calibration sees the measured pixel to where it sees the corrected."""
+    air = standard_atmosphere("us1976")
+    camera = replace(PINHOLE, distortion=BrownConrady(k1=k1))
+    rotation = looking(30.0, azimuth_deg=60.0, swing_deg=20.0)
+    setup = exposure(air, rotation, cabin_excess=2e-5, change_px=1.2)
+    x = np.array([PINHOLE.cx_px + 3000.0])
+    y = np.array([PINHOLE.cy_px - 2000.0])
+
+    made = corrected(x, y, setup, ray_table(air), camera=camera, h_g=H_G)
+
+    def straight(x_px, y_px):
+        u_d = (x_px - camera.cx_px) / camera.fx_px
+        v_d = (y_px - camera.cy_px) / camera.fy_px
+        r_d = math.hypot(u_d, v_d)
+        r = brentq(lambda r: r * (1.0 + k1 * r * r) - r_d, 0.0, 2.0 * r_d, xtol=1e-15)
+        return on_the_ground(rotation, u_d * r / r_d, v_d * r / r_d, H_C, H_G)
+
+    measured = straight(x[0], y[0])
+    true = straight(made.x_corrected_px[0], made.y_corrected_px[0])
+    expected = np.linalg.norm(measured - true)
+    assert made.shift_ground_m[0] == pytest.approx(expected, rel=2e-3)

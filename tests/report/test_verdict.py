@@ -162,6 +162,27 @@ def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
         ) in steps_of(manifest)
 
 
+def test_a_typical_lens_is_named_beside_the_cabin(baseline):
+    """Better sensors in the cabin would not help: the unknown part of the lens is larger."""
+    manifest = baseline.manifest()
+    manifest["cabin_sigma_share"]["median"] = 0.066
+    manifest["uncertainty"] = {"scale_sigma": 0.028}
+    camera = manifest["air_at_cameras"]["nadir"]
+    camera["lens_removed"] = True
+    camera["lens_sigma_ppm"] = 24.0
+    assert remarks_of(manifest) == [
+        "The air in the cabin and the unknown part of a typical lens (24 ppm of the principal "
+        "distance) cause a median uncertainty of 6.6 % of the refraction R, the air outside of "
+        "2.8 % only."
+    ]
+    steps = steps_of(manifest)
+    assert (
+        "If the change of the lens by the air was measured, state dc_dp_px_per_hpa and "
+        "dc_dt_px_per_k (cameras.nadir.principal_distance)."
+    ) in steps
+    assert not any("sensors in the cabin" in step for step in steps)
+
+
 def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
     manifest = baseline.manifest()
     manifest["cabin_sigma_share"]["median"] = 0.05

@@ -104,8 +104,10 @@ class Corrections:
     measured ones and ``dx_px``, ``dy_px``; of `apply_refraction` they are the displaced ones.
 
     ``shift_ground_m`` is the horizontal displacement, at the target's height, of the point where
-    the uncorrected straight ray would land. It is also NaN where that ray passes over the horizon
-    and only the bent one lands: the last 0.2 degree of nadir angle from 10 km above sea level.
+    the uncorrected straight ray would land. The stated calibration gives that ray to the measured
+    pixel: the metres are those of the shift in the image, by air, window and lens together. It is
+    also NaN where that ray passes over the horizon and only the bent one lands: the last 0.2 degree
+    of nadir angle from 10 km above sea level.
     """
 
     dx_px: Array

@@ -86,6 +86,15 @@ def uncorrected_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
     return left
 
 
+def typical_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
+    """The cameras whose air in the lens is removed as that of a typical lens, of some sigma."""
+    typical = {}
+    for name, camera in results.air_at_cameras.items():
+        if camera.lens_removed and camera.lens_sigma_ppm:
+            typical[name] = camera
+    return typical
+
+
 def outcome(manifest: Manifest) -> str:
     """One sentence: how many observations were corrected, how far, and whether they can be used.
 
@@ -227,13 +236,31 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
         place = "in the cabin"
         if all(camera.window is None for camera in manifest.sections.cameras.values()):
             place = "in front of the lens"
+        causes = f"The air {place} causes"
+        lenses = typical_lenses(manifest.results)
+        if lenses:
+            ppm = max(camera.lens_sigma_ppm or 0.0 for camera in lenses.values())
+            causes = (
+                f"The air {place} and the unknown part of a typical lens ({ppm:.2g} ppm of the "
+                "principal distance) cause"
+            )
         percent = 100.0 * cabin
-        text = f"The air {place} causes a median uncertainty of {percent:.2g} % of the refraction R"
+        text = f"{causes} a median uncertainty of {percent:.2g} % of the refraction R"
         if air is not None:
             text += f", the air outside of{sigma.replace(' ±', '')}"
             text += " only" if cabin > air.scale_sigma else ""
-        limits.append((f"{text}.", cabin_step(manifest)))
+        step = lens_step(lenses) if lenses else cabin_step(manifest)
+        limits.append((f"{text}.", step))
     return limits
+
+
+def lens_step(lenses: Iterable[str]) -> str:
+    """What to state of lenses that are corrected as typical ones, whose part is the largest."""
+    keys = ", ".join(f"cameras.{name}.principal_distance" for name in lenses)
+    return (
+        "If the change of the lens by the air was measured, state dc_dp_px_per_hpa and "
+        f"dc_dt_px_per_k ({keys})."
+    )
 
 
 def step_to_better_air(manifest: Manifest) -> str:

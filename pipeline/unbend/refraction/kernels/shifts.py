@@ -27,7 +27,7 @@ from unbend.refraction.kernels.columns import (
     WINDOW_CHANGE,
     CameraConstants,
 )
-from unbend.refraction.kernels.distortion import distort
+from unbend.refraction.kernels.distortion import distort, slopes
 from unbend.refraction.kernels.jit import entry, jit, within
 from unbend.refraction.kernels.outgoing import exposure_rows_from
 from unbend.refraction.status_codes import FAR_BRANCH
@@ -147,14 +147,52 @@ def _fill_image_shift(rows, rays, scratch, exposed, shifts):  # type: ignore[no-
         dy[i] = fy * (v_corrected - v_measured) - change_px * v_measured
 
 
+@jit
+def _stated_less_ideal(u, v, camera, change_px):  # type: ignore[no-untyped-def]
+    """How far the stated calibration has the ideal u, v of a ray from where they are.
+
+    The principal distance has changed by ``change_px`` in the air of the lens; first order, whose
+    second is 1e-4 of it.
+    """
+    u_measured, v_measured = distort(u, v, camera.distortion)
+    du_measured = change_px / camera.fx * u_measured
+    dv_measured = change_px / camera.fy * v_measured
+    uu, uv, vv = slopes(u, v, camera.distortion)
+    determinant = uu * vv - uv * uv
+    du = (vv * du_measured - uv * dv_measured) / determinant
+    dv = (uu * dv_measured - uv * du_measured) / determinant
+    return du, dv
+
+
 @within
-def _fill_ground_shift(rows, traced, h_g, scratch, rotation, shift):  # type: ignore[no-untyped-def]
+def _add_change_of_lens(rows, rays, exposed, inside):  # type: ignore[no-untyped-def]
+    """Turn the unit vectors ``inside`` (3, n) to where the stated calibration sees the rays."""
+    rotation = exposed.rotation
+    for i in range(rows.first, rows.end):
+        u = rays[IDEAL_U, i]
+        v = rays[IDEAL_V, i]
+        du, dv = _stated_less_ideal(u, v, exposed.camera, exposed.change_px)
+        z = 1.0 / math.sqrt(u * u + v * v + 1.0)
+        stated_z = 1.0 / math.sqrt((u + du) * (u + du) + (v + dv) * (v + dv) + 1.0)
+        change_x = (u + du) * stated_z - u * z
+        change_y = (v + dv) * stated_z - v * z
+        change_z = stated_z - z
+        for k in range(3):
+            along_x = rotation[0, k] * change_x
+            along_y = rotation[1, k] * change_y
+            along_z = rotation[2, k] * change_z
+            inside[k, i] += along_x + along_y + along_z
+
+
+@within
+def _fill_ground_shift(rows, traced, h_g, scratch, exposed, shift):  # type: ignore[no-untyped-def]
     """Fill how far apart two straight rays meet the height ``h_g`` of the target [m].
 
-    The raw one has the direction of the ray inside the window, the true one that of the straight
-    ray to the target. ``shift`` (n,) [m] is filled for one exposure, ``rotation`` is that of its
-    camera.
+    The raw one has the direction that the stated calibration gives the measured pixel, the true
+    one that of the straight ray to the target. ``shift`` (n,) [m] is filled for one exposure, an
+    `_ExposedCamera`.
     """
+    rotation = exposed.rotation
     rays = traced.rays
     status = traced.status
     to_nadir = scratch.to_nadir
@@ -174,6 +212,8 @@ def _fill_ground_shift(rows, traced, h_g, scratch, rotation, shift):  # type: ig
         for i in range(rows.first, rows.end):
             change = t_0 * at_window_0[i] + t_1 * at_window_1[i] + t_2 * at_window_2[i]
             inside_k[i] = apparent[i] - change
+    if exposed.change_px != 0.0:
+        _add_change_of_lens(rows, rays, exposed, inside)
     east = rays[DIRECTION]
     north = rays[DIRECTION + 1]
     up = rays[DIRECTION + 2]
@@ -216,7 +256,7 @@ def fill_shifts(observed, camera, exposures, traced, shifts):  # type: ignore[no
                 traced,
                 h_g=observed.h_g,
                 scratch=scratch,
-                rotation=rotation,
+                exposed=exposed,
                 shift=shifts.ground,
             )
         first = rows.end
