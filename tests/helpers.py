@@ -59,7 +59,11 @@ def with_code(messages: Iterable[Message], code: str) -> list[Message]:
 
 def codes_of_losses(messages: Iterable[Message]) -> list[str]:
     """The codes of the losses in a ledger, in their order."""
-    return [message.code for message in messages if message.kind == "loss"]
+    losses = []
+    for message in messages:
+        if message.kind == "loss":
+            losses.append(message.code)
+    return losses
 
 
 def codes_of(manifest: Mapping[str, Any]) -> set[str]:
@@ -69,7 +73,10 @@ def codes_of(manifest: Mapping[str, Any]) -> set[str]:
 
 def entry_of(manifest: Mapping[str, Any], code: str) -> dict[str, Any]:
     """The only entry with this code in the ledger of a manifest that was read as JSON."""
-    entries = [entry for entry in manifest["ledger"] if entry["code"] == code]
+    entries = []
+    for entry in manifest["ledger"]:
+        if entry["code"] == code:
+            entries.append(entry)
     codes = sorted(codes_of(manifest))
     assert len(entries) == 1, f"{code} is {len(entries)} times in {codes}"
     return entries[0]

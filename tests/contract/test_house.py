@@ -30,9 +30,25 @@ SAME_THING = {
 }  # fmt: skip
 
 
+ROOT = Path(__file__).resolve().parents[2]
+SHORTEST = 30  # code lines of a module whose density says anything
+
+
 @pytest.fixture(scope="module")
 def modules() -> dict[str, house.Module]:
     return house.measure()
+
+
+@pytest.mark.parametrize("folder", ["tests", "benchmarks", "docs"])
+def test_what_is_beside_the_package_is_as_plain(folder):
+    too_dense = {}
+    for path in (ROOT / folder).rglob("*.py"):
+        name = str(path.relative_to(ROOT))
+        module = house.measure_module(path, name)
+        is_dense = module.tokens_a_line > house.MAX_TOKENS_A_LINE
+        if is_dense and module.code_lines > SHORTEST:
+            too_dense[name] = module.tokens_a_line
+    assert too_dense == {}
 
 
 def test_no_figure_of_a_module_grows(modules, capsys):

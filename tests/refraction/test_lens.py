@@ -86,15 +86,32 @@ def test_a_longer_principal_distance_puts_the_same_ray_farther_out():
     assert_close(changed.r_c_rad, calibrated.r_c_rad, rtol=1e-12)
 
 
-def on_the_ground(rotation, u, v, h_c, h_g):
-    """Where a straight line of the camera meets a height, from the earth's centre [m]."""
-    inside = np.array([u, v, 1.0]) / math.sqrt(u * u + v * v + 1.0)
+def on_the_ground(rotation, u, v):
+    """Where a straight line of the camera meets the ground, from the earth's centre [m]."""
+    length = math.sqrt(u * u + v * v + 1.0)
+    inside = np.array([u, v, 1.0]) / length
     direction = rotation.T @ inside
-    from_centre = RADIUS + h_c
+
+    from_centre = RADIUS + H_C
     along = from_centre * direction[2]
-    square_difference = (h_c - h_g) * (2.0 * RADIUS + h_c + h_g)
+    square_difference = (H_C - H_G) * (2.0 * RADIUS + H_C + H_G)
     reach = -along - math.sqrt(along**2 - square_difference)
-    return np.array([0.0, 0.0, from_centre]) + reach * direction
+
+    camera = np.array([0.0, 0.0, from_centre])
+    return camera + reach * direction
+
+
+def ideal(camera, k1, x_px, y_px):
+    """The ideal u, v of a pixel by the stated calibration."""
+    u_d = (x_px - camera.cx_px) / camera.fx_px
+    v_d = (y_px - camera.cy_px) / camera.fy_px
+    r_d = math.hypot(u_d, v_d)
+
+    def excess(r):
+        return r * (1.0 + k1 * r * r) - r_d
+
+    r = brentq(excess, 0.0, 2.0 * r_d, xtol=1e-15)
+    return u_d * r / r_d, v_d * r / r_d
 
 
 @pytest.mark.parametrize("k1", [0.0, -0.03])
@@ -102,21 +119,34 @@ def test_metres_on_the_ground_are_those_of_the_shift_in_the_image(k1):
     """From where the stated calibration sees the measured pixel to where it sees the corrected."""
     air = standard_atmosphere("us1976")
     camera = replace(PINHOLE, distortion=BrownConrady(k1=k1))
-    rotation = looking(30.0, azimuth_deg=60.0, swing_deg=20.0)
-    setup = exposure(air, rotation, cabin_excess=2e-5, change_px=1.2)
+    rotation = looking(
+        30.0,
+        azimuth_deg=60.0,
+        swing_deg=20.0,
+    )
+    setup = exposure(
+        air,
+        rotation,
+        cabin_excess=2e-5,
+        change_px=1.2,
+    )
     x = np.array([PINHOLE.cx_px + 3000.0])
     y = np.array([PINHOLE.cy_px - 2000.0])
 
-    made = corrected(x, y, setup, ray_table(air), camera=camera, h_g=H_G)
+    made = corrected(
+        x,
+        y,
+        setup,
+        ray_table(air),
+        camera=camera,
+        h_g=H_G,
+    )
 
-    def straight(x_px, y_px):
-        u_d = (x_px - camera.cx_px) / camera.fx_px
-        v_d = (y_px - camera.cy_px) / camera.fy_px
-        r_d = math.hypot(u_d, v_d)
-        r = brentq(lambda r: r * (1.0 + k1 * r * r) - r_d, 0.0, 2.0 * r_d, xtol=1e-15)
-        return on_the_ground(rotation, u_d * r / r_d, v_d * r / r_d, H_C, H_G)
-
-    measured = straight(x[0], y[0])
-    true = straight(made.x_corrected_px[0], made.y_corrected_px[0])
+    u, v = ideal(camera, k1, x[0], y[0])
+    measured = on_the_ground(rotation, u, v)
+    x_corrected = made.x_corrected_px[0]
+    y_corrected = made.y_corrected_px[0]
+    u, v = ideal(camera, k1, x_corrected, y_corrected)
+    true = on_the_ground(rotation, u, v)
     expected = np.linalg.norm(measured - true)
     assert made.shift_ground_m[0] == pytest.approx(expected, rel=2e-3)
