@@ -233,25 +233,30 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
         limits.append((f"The air was not measured: {_UNMEASURED[basis]}{accuracy}.", step))
     cabin = manifest.results.cabin_sigma_share.median
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
-        place = "in the cabin"
-        if all(camera.window is None for camera in manifest.sections.cameras.values()):
-            place = "in front of the lens"
-        causes = f"The air {place} causes"
-        lenses = typical_lenses(manifest.results)
-        if lenses:
-            ppm = max(camera.lens_sigma_ppm or 0.0 for camera in lenses.values())
-            causes = (
-                f"The air {place} and the unknown part of a typical lens ({ppm:.2g} ppm of the "
-                "principal distance) cause"
-            )
-        percent = 100.0 * cabin
-        text = f"{causes} a median uncertainty of {percent:.2g} % of the refraction R"
-        if air is not None:
-            text += f", the air outside of{sigma.replace(' ±', '')}"
-            text += " only" if cabin > air.scale_sigma else ""
-        step = lens_step(lenses) if lenses else cabin_step(manifest)
-        limits.append((f"{text}.", step))
+        limits.append(_limit_of_cabin(manifest, cabin))
     return limits
+
+
+def _limit_of_cabin(manifest: Manifest, share: float) -> tuple[str, str]:
+    """What the air before and in the lens makes uncertain, a ``share`` of R, and what would help."""
+    place = "in the cabin"
+    if all(camera.window is None for camera in manifest.sections.cameras.values()):
+        place = "in front of the lens"
+    causes = f"The air {place} causes"
+    lenses = typical_lenses(manifest.results)
+    if lenses:
+        ppm = max(camera.lens_sigma_ppm or 0.0 for camera in lenses.values())
+        causes = (
+            f"The air {place} and the unknown part of a typical lens ({ppm:.2g} ppm of the "
+            "principal distance) cause"
+        )
+    text = f"{causes} a median uncertainty of {100.0 * share:.2g} % of the refraction R"
+    air = manifest.results.uncertainty
+    if air is not None:
+        text += f", the air outside of {100.0 * air.scale_sigma:.2g} %"
+        text += " only" if share > air.scale_sigma else ""
+    step = lens_step(lenses) if lenses else cabin_step(manifest)
+    return f"{text}.", step
 
 
 def lens_step(lenses: Iterable[str]) -> str:
