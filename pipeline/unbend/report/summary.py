@@ -238,7 +238,7 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
 
 
 def _limit_of_cabin(manifest: Manifest, share: float) -> tuple[str, str]:
-    """What the air before and in the lens makes uncertain, a ``share`` of R, and what would help."""
+    """What the air before and in the lens makes uncertain, a ``share`` of R; and what to do."""
     place = "in the cabin"
     if all(camera.window is None for camera in manifest.sections.cameras.values()):
         place = "in front of the lens"
