@@ -376,7 +376,10 @@ def sources_of_undated_flight(*, where: str) -> InputError:
             "reports is unknown"
         ),
         where=where,
-        remedy="state mission.date, as 2026-05-14 or 2026-05-14T10:20",
+        remedy=(
+            "state mission.date, as 2026-05-14 or 2026-05-14T10:20; in Python the column time_utc "
+            "of the stations is another way"
+        ),
     )
 
 

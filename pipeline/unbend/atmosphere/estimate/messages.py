@@ -607,7 +607,7 @@ SOUNDING_UNDATED = Code(
     "SOUNDING-UNDATED",
     means="The sounding has no time.",
     effect="It is assumed to be some hours from the flight, and has less weight.",
-    remedy="Add time_utc.",
+    remedy="Add time_utc, and mission.date if the log of the flight has no date.",
 )
 
 
@@ -661,7 +661,7 @@ SURFACE_UNDATED = Code(
     "SURFACE-UNDATED",
     means="The report has no time.",
     effect="It is assumed to be some hours from the flight, and has less weight.",
-    remedy="Add time_utc.",
+    remedy="Add time_utc, and mission.date if the log of the flight has no date.",
 )
 
 
