@@ -37,7 +37,7 @@ test: $(EVERYTHING)
 	$(BIN)/lint-imports
 	UNBEND_CASES=$(CASES) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
-# Lint and the tests of all pure rooms but the slow ones: a minute and a half on two cores, once
+# Lint and the tests of all pure rooms but the slow ones: a minute on two cores, once
 # kernels are compiled and mypy has its cache.
 quick: lint
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist worksteal $(QUICK)
