@@ -107,8 +107,11 @@ def limited(column: Array) -> Array:
     """
     if column.size == 0:
         return column
-    highest = np.fmax.reduce(column)
-    lowest = np.fmin.reduce(column)
+    highest = column.max()
+    lowest = column.min()
+    if np.isnan(highest):  # some values are unknown: a slower search passes over them
+        highest = np.fmax.reduce(column)
+        lowest = np.fmin.reduce(column)
     if highest <= LARGEST_NUMBER and lowest >= -LARGEST_NUMBER:
         return column
     is_too_large = np.isfinite(column) & (np.abs(column) > LARGEST_NUMBER)
