@@ -234,8 +234,7 @@ def _agreed_celsius(quantity: str, degrees: str | None, tenths: str | None, plac
 
 def _agreed_setting(parts: _Parts, place: str) -> float:
     """The first altimeter setting [Pa]; refused where another one says something else."""
-    groups = [*_SETTING.findall(parts.body), *_SETTING.findall(parts.remarks)]
-    settings_pa = [_setting_pa(*group) for group in groups]
+    settings_pa = [_setting_pa(*group) for group in _settings_of(parts)]
     for other_pa in settings_pa[1:]:
         if abs(other_pa - settings_pa[0]) > MOST_BETWEEN_SETTINGS_PA:
             raise messages.metar_contradiction(
@@ -247,15 +246,19 @@ def _agreed_setting(parts: _Parts, place: str) -> float:
     return settings_pa[0] if settings_pa else math.nan
 
 
+def _settings_of(parts: _Parts) -> list[tuple[str, str, str]]:
+    """Letter, digits and unit of each altimeter setting."""
+    return [*_SETTING.findall(parts.body), *_SETTING.findall(parts.remarks)]
+
+
 def _letters_for_zeros(parts: _Parts) -> tuple[str, ...]:
     """Complaints of altimeter settings that were typed with the letter O.
 
     >>> _letters_for_zeros(_Parts("", "LOWW 121150Z 06/02 Q1O26", ""))
     ('Q1O26 is read as Q1026',)
     """
-    groups = [*_SETTING.findall(parts.body), *_SETTING.findall(parts.remarks)]
     complaints = []
-    for letter, digits, unit in groups:
+    for letter, digits, unit in _settings_of(parts):
         if "O" in digits:
             corrected = digits.replace("O", "0")
             complaints.append(f"{letter}{digits}{unit} is read as {letter}{corrected}{unit}")

@@ -196,7 +196,7 @@ def _refuse_beyond_poles(path: Path, lat_rad: Array) -> None:
     """Refuse latitudes beyond the poles."""
     is_beyond = np.abs(lat_rad) > np.pi / 2.0
     if bool(is_beyond.any()):
-        worst_row = int(np.argmax(np.where(is_beyond, np.abs(lat_rad), 0.0)))
+        worst_row = int(np.nanargmax(np.abs(lat_rad)))
         worst_deg = float(np.degrees(lat_rad[worst_row]))
         raise messages.latitude_beyond_poles(where=path, worst_deg=worst_deg)
 
