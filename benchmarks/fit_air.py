@@ -7,7 +7,8 @@
 First what the Supplements 1966 lack in the lowest 3 km, on average and by the hour of the day; then
 the parts of `unbend.atmosphere.air_variation`, so that their sum has the second moments of
 
-* the departures from that climatology, each group of ascents weighing alike,
+* the departures from that climatology, each group of ascents weighing alike, and what of R is left
+  of them where a METAR gives the temperature at the ground,
 * the changes in 12 to 240 hours over one station, without their mean,
 * the differences between stations of one hour, 340 to 2700 km apart.
 
@@ -74,6 +75,8 @@ with kinks, all of it at the ground and 0.55 of the variance from 300 m on, and 
 nine ascents with all their levels (docs/decisions.md)."""
 
 FUNCTIONAL_WEIGHT = 2.0  # of logarithms of variances of R and T, beside a row of a matrix
+METAR_SIGMA_K = 0.3  # of a temperature in whole degrees
+LEAST_LEFT_BY_METAR = 0.3  # variance of R [%2] that counts as known: few ascents may have less
 
 
 @dataclass
@@ -334,10 +337,10 @@ EXPECTED = np.concatenate([
 ])  # fmt: skip
 """How far the fit may be from its start before that costs as much as a moment."""
 WAVES_LENGTH_M = 20_000.0  # one pattern from the ground to the stratosphere
-CLIMATE_LENGTH_M = 15_000.0
+CLIMATE_LENGTH_M = 8000.0
 LEAST_WAVES_K = 1.5  # at the ground: inversions there are of other parts
 MIXED_BELOW_M = 1500.0  # inversions stay at the top of mixed air [m]
-LEAST_MIXED = 0.6
+LEAST_MIXED = 0.4
 """Share of layers and fine structure that stays in mixed air at least. The ascents near hail alone
 would have 0.25, but moist air that is as warm cools less with height than theirs, and a
 thermometer's climb through it was then 1.8 sigma off, or refused."""
@@ -473,6 +476,13 @@ def variance_of_r(matrix: np.ndarray) -> np.ndarray:
     return np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
 
 
+def variance_of_r_by_metar(matrix: np.ndarray) -> np.ndarray:
+    """(c,) of R at `CLIMBS_M` [%2] where the temperature at the ground is known by a METAR."""
+    with_ground = R_BY_TEMPERATURE @ matrix[:, 0]
+    explained = with_ground**2 / (matrix[0, 0] + METAR_SIGMA_K**2)
+    return variance_of_r(matrix) - explained
+
+
 def residuals_of(moment: Moments, matrix: np.ndarray) -> np.ndarray:
     """What a model misses of the moments, in units of their weight."""
     variance = np.maximum(np.diag(moment.matrix), 1.0)
@@ -487,6 +497,10 @@ def residuals_of(moment: Moments, matrix: np.ndarray) -> np.ndarray:
         FUNCTIONAL_WEIGHT * of_r,
         FUNCTIONAL_WEIGHT * of_t,
     ]
+    if not moment.is_change:
+        observed = np.maximum(variance_of_r_by_metar(moment.matrix), LEAST_LEFT_BY_METAR)
+        of_metar = np.log(variance_of_r_by_metar(matrix) / observed)
+        rows.append(FUNCTIONAL_WEIGHT * of_metar)
     return np.sqrt(moment.weight / GROUP_WEIGHT) * np.concatenate(rows)
 
 

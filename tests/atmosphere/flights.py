@@ -317,10 +317,10 @@ def lagging(values, keep):
     return felt
 
 
-def path(climb, rate, descent):
+def path(climb, rate, cruise_s, descent):
     """Seconds and heights above ground: standing, climbing, cruising, coming down."""
     up = TAKEOFF_S + climb / rate
-    times = [0.0, TAKEOFF_S, up, up + CRUISE_S]
+    times = [0.0, TAKEOFF_S, up, up + cruise_s]
     heights = [0.0, 0.0, climb, climb]
     if descent:
         times.append(times[-1] + climb / rate)
@@ -339,11 +339,12 @@ def fly(
     barometer=True,
     humidity="surface",
     rate=5.0,
+    cruise_s=CRUISE_S,
     descent=False,
     gate_s=120.0,
 ):
     """What a flight measures. ``humidity``: none | surface (the lowest 200 m) | profile."""
-    seconds, above = path(climb, rate, descent)
+    seconds, above = path(climb, rate, cruise_s, descent)
     along = {name: truth.at_height(getattr(truth, name), above) for name in AIR}
     samples = measure(
         truth,
