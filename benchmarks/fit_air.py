@@ -339,7 +339,7 @@ EXPECTED = np.concatenate([
 WAVES_LENGTH_M = 20_000.0  # one pattern from the ground to the stratosphere
 CLIMATE_LENGTH_M = 8000.0
 LEAST_WAVES_K = 1.5  # at the ground: inversions there are of other parts
-MIXED_BELOW_M = 1500.0  # inversions stay at the top of mixed air [m]
+MIXED_BELOW_M = 2500.0  # inversions stay at the top of mixed air [m]
 LEAST_MIXED = 0.4
 """Share of layers and fine structure that stays in mixed air at least. The ascents near hail alone
 would have 0.25, but moist air that is as warm cools less with height than theirs, and a
