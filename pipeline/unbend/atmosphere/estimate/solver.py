@@ -171,7 +171,7 @@ def estimate(
     >>> from unbend.atmosphere.climatology import climatology
     >>> made = estimate(AirSamples(), climatology(latitude_rad=0.8, month=7.0))
     >>> made.covariance.sigma_temperature([0.0, 5000.0]).round(1).tolist()
-    [6.7, 4.9]
+    [6.7, 4.8]
     """
     settings = settings or SensorSettings()
     readings = collect_readings(
