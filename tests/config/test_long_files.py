@@ -9,7 +9,8 @@ import pytest
 
 from tests.helpers import refused
 from unbend.config import load_mission
-from unbend.config.mistakes import MOST_SENTENCES
+from unbend.config.mistakes import MOST_REFUSED, MOST_SENTENCES
+from unbend.config.reading import refusal_of
 from unbend.config.yaml_text import MOST_BYTES
 from unbend.errors import ConfigError
 
@@ -52,6 +53,19 @@ def test_as_many_mistakes_as_are_listed_are_all_listed(tmp_path: Path):
     message = str(caught.value)
     assert f": {MOST_SENTENCES} mistakes" in message
     assert f"k{MOST_SENTENCES - missing - 1}: unknown key" in message
+
+
+def test_where_not_everything_refused_was_looked_at_the_number_says_more():
+    """The first thousand are two mistakes, each said again and again."""
+    no_height = {"type": "missing", "loc": ("ground", "height")}
+    no_log = {"type": "missing", "loc": ("inputs", "log")}
+    items = [no_height, no_log] * (MOST_REFUSED // 2)
+    values = {"ground": {}, "inputs": {}}
+
+    all_looked_at = refusal_of(items, values, None, "mission.yaml")
+    assert ": 2 mistakes" in str(all_looked_at)
+    one_more = refusal_of([*items, no_log], values, None, "mission.yaml")
+    assert ": more than 2 mistakes" in str(one_more)
 
 
 def test_a_file_that_is_larger_than_any_mission_file_is_refused(tmp_path: Path):

@@ -21,7 +21,7 @@ from unbend.config.yaml_text import Place, has_place, line_of, open_questions
 LEAST_SIMILARITY = 0.5  # of the similarity of difflib: a letter wrong, or a word of several
 MOST_SENTENCES = 100
 """Of one refusal: who has more mistakes does not read them all."""
-_MOST_REFUSED = 1000  # things that the models refuse, of which the first mistakes are told
+MOST_REFUSED = 1000  # things that the models refuse, of which the first mistakes are told
 LONGEST_ALLOWED = 150  # characters of what a key takes, beside its text
 LONGEST_VALUE = 40  # characters of a value that is shown whole
 _SHOWN_OF_BEGIN = 20  # characters of a longer value
@@ -60,7 +60,7 @@ def sentences_of(
     """One sentence for each mistake, in the order of the file, with the line of the mistake.
 
     Of more than `MOST_SENTENCES` mistakes some are left out, and one more than that many are
-    returned.
+    returned. Only the first `MOST_REFUSED` items are looked at.
 
     ``items`` is what the models refuse of the ``values``; open questions are mistakes too. ``node``
     knows the lines of the values; values that stand in no file have none. ``own`` are the values
@@ -68,7 +68,7 @@ def sentences_of(
     campaign, and its sentence says so instead of a line.
     """
     sentences: set[tuple[int, str]] = set()
-    for mistake in mistakes_of(items[:_MOST_REFUSED], values):
+    for mistake in mistakes_of(items[:MOST_REFUSED], values):
         if len(sentences) > MOST_SENTENCES:
             break
         line = 0 if node is None else line_of(node, mistake.place)

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from unbend.config import messages
 from unbend.config.defaults import merged
 from unbend.config.mission_file import Mission
-from unbend.config.mistakes import MOST_SENTENCES, sentences_of
+from unbend.config.mistakes import MOST_REFUSED, MOST_SENTENCES, sentences_of
 from unbend.config.yaml_text import open_questions, read_yaml
 from unbend.errors import Code, ConfigError
 
@@ -69,7 +69,7 @@ def refusal_of(
 ) -> ConfigError:
     """The refusal of a file with what the models refuse of it; ``own`` as in `sentences_of`."""
     sentences = sentences_of(items, values, node, own)
-    has_more = len(sentences) > MOST_SENTENCES
+    has_more = len(sentences) > MOST_SENTENCES or len(items) > MOST_REFUSED
     code = _code_of(items, has_questions=bool(open_questions(values)))
     return messages.mission_file_refused(
         code, where=where, mistakes=sentences[:MOST_SENTENCES], has_more=has_more
