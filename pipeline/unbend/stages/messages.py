@@ -439,8 +439,11 @@ def flight_without_time(*, where: str) -> InputError:
 FLIGHT_UNDATED = Code(
     "FLIGHT-UNDATED",
     means="Neither the log nor the mission file states the date of the flight.",
-    effect="No season is assumed. The climatology has the spread of the whole year.",
-    remedy="State mission.date.",
+    effect=(
+        "No season is assumed. The climatology has the spread of the whole year. Soundings and "
+        "surface reports that have a time are refused, because their age is unknown."
+    ),
+    remedy="Write mission.date: 2026-05-14, or with the time in UTC, 2026-05-14T10:20.",
 )
 
 
