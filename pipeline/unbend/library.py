@@ -74,7 +74,7 @@ _OPTIONAL_COLUMNS = (
 _COLUMNS_OF_A_RUN = {"profile_id", "status", "q_w"}
 """Columns that together only the stations of a run have."""
 
-_DEFAULT_GROUND = {"height": {"column": "h_g_m"}, "reference": "msl"}
+_DEFAULT_GROUND: Mapping[str, object] = {"height": {"column": "h_g_m"}, "reference": "msl"}
 """The section ``ground`` of tables whose caller states nothing of it."""
 
 _REPLACED_SECTIONS = {"log", "stations", "events", "atmosphere", "output"}
@@ -223,11 +223,11 @@ def mission_of_tables(
     return mission_of(json.loads(json.dumps(given, default=_plain_value)), None, "sections")
 
 
-def ground_section(stated: Any) -> Any:
+def ground_section(stated: object) -> object:
     """The section ``ground``: as stated, with defaults for height and reference."""
     if not isinstance(stated, Mapping):
         return stated  # which the model of the mission refuses
-    return _DEFAULT_GROUND | stated
+    return {**_DEFAULT_GROUND, **stated}
 
 
 def choices_of_tables(

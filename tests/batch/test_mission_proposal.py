@@ -23,6 +23,7 @@ from unbend.batch.proposal.log_facts import (
     LogFacts,
     compartment_of,
     facts_of_log,
+    indoors_remark,
     place_remark,
 )
 from unbend.batch.proposal.mission_text import propose_mission
@@ -481,7 +482,8 @@ def test_below_3_km_a_second_barometer_proposes_no_window(tmp_path, highest_m):
     ],
 )
 def test_a_compartment_may_be_a_cabin_from_3_km_on(indoors, highest_m, names, remark):
-    compartment, text = compartment_of(indoors, highest_m)
+    compartment = compartment_of(indoors, highest_m)
+    text = indoors_remark(indoors, compartment)
     assert compartment == names
     assert text.startswith(remark)
     assert bool(text) == bool(remark)

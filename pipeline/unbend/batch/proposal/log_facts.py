@@ -66,7 +66,7 @@ def facts_of_log(path: Path) -> LogFacts:
             indoors.append(note.where)
         elif note.code in OPEN_ROLES:
             open_roles[note.where.removeprefix("log.channels.")] = None
-    compartment, indoors_remark = compartment_of(indoors, highest_of(plausible))
+    compartment = compartment_of(indoors, highest_of(plausible))
     for role in open_roles:
         questions += questions_of_role(role, log.channels, compartment)
 
@@ -74,7 +74,7 @@ def facts_of_log(path: Path) -> LogFacts:
     remarks = [time_remark(log), place_remark(plausible), heights_remark(plausible, takeoff)]
     decided = [f"{role} {roles[role].name}" for role in roles if role not in open_roles]
     remarks.append(f"detected automatically: {', '.join(decided)}")
-    remarks.append(indoors_remark)
+    remarks.append(indoors_remark(indoors, compartment))
     events = best_of([channel for channel in log.channels if channel.fits_role("events")])
     return LogFacts(
         events=events,
@@ -87,23 +87,29 @@ def facts_of_log(path: Path) -> LogFacts:
     )
 
 
-def compartment_of(indoors: Sequence[str], highest_m: float) -> tuple[str, str]:
-    """The names of barometers that may be in a pressurised cabin, and a remark; "" for none.
+def compartment_of(indoors: Sequence[str], highest_m: float) -> str:
+    """The names of barometers that may be in a pressurised cabin; "" for none.
 
     ``indoors`` are those that do not follow the height, ``highest_m`` is that of the flight.
     """
-    names = ", ".join(indoors)
-    if not names:
-        return "", ""
-    not_following = "it does not follow the height"
-    if highest_m >= LOWEST_PRESSURISED_M:
-        return names, f"{names} is in a closed compartment: {not_following}"
-    remark = (
-        f"{names} is not used: {not_following}. The flight is below {LOWEST_PRESSURISED_M:.0f} m, "
-        "where a second barometer is usually a spare of the autopilot, so no window is proposed; "
-        "behind a pressurised window write window: {cabin: log} under cameras.<name>"
+    return ", ".join(indoors) if highest_m >= LOWEST_PRESSURISED_M else ""
+
+
+def indoors_remark(indoors: Sequence[str], compartment: str) -> str:
+    """What is said of barometers that do not follow the height; "" without any.
+
+    ``compartment`` names them if they may be in a pressurised cabin.
+    """
+    if not indoors:
+        return ""
+    if compartment:
+        return f"{compartment} is in a closed compartment: it does not follow the height"
+    return (
+        f"{', '.join(indoors)} is not used: it does not follow the height. The flight is below "
+        f"{LOWEST_PRESSURISED_M:.0f} m, where a second barometer is usually a spare of the "
+        "autopilot, so no window is proposed; behind a pressurised window write "
+        "window: {cabin: log} under cameras.<name>"
     )
-    return "", remark
 
 
 def highest_of(roles: Mapping[str, Channel]) -> float:

@@ -87,13 +87,9 @@ def places_of(
     lon[~is_known] = np.nan
     beyond = count - int(is_known.sum())
     if beyond > 0:
-        beyond_grid = messages.positions_beyond_grid(
-            where=where,
-            key=key,
-            count=beyond,
-            operation=by,
+        notes.append(
+            messages.positions_beyond_grid(where=where, key=key, count=beyond, operation=by)
         )
-        notes.append(beyond_grid)
     convergence = np.zeros(lat.size)
     if horizontal.is_projected:
         known_places = lon_lat[:, is_known]
