@@ -112,6 +112,12 @@ nadir, calibrated in flight at 6 km|calibrated here|never correct on top of it
 """
 """Blocks of the summary, their cases, and what to do."""
 
+LENS = (
+    "| besides, the air in the lens: calibrated on the ground at 20 °C (not simulated) "
+    "| 0.8 to 1.9 | a quarter of it | state the air of the calibration |"
+)
+"""The row of the summary that Meier's figures give: docs/pages/guide/lens.md."""
+
 Numbers = dict[str, float]
 Table = dict[str, list[float]]
 
@@ -201,6 +207,7 @@ def summary(before: Table, after: Table, airs: Table) -> str:
         if case == "nadir held":
             uncorrected += f" ± {median(before['nadir less mean'])}"
         lines.append(f"| {block} | {uncorrected} | {median(after[case])} | {conclusion} |")
+    lines.append(LENS)
     standard: list[float] = []
     adjusted: list[float] = []
     for h in HEIGHTS_KM:

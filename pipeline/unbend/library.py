@@ -6,7 +6,7 @@ story's steps.
 
 import json
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -24,8 +24,9 @@ from unbend.batch.opening import open_inputs, open_table, paths_beside_tables, s
 from unbend.config import Mission
 from unbend.config.reading import mission_of
 from unbend.flight.stations import Stations
-from unbend.messages import LOSSES, Ledger
+from unbend.messages import LOSSES, Ledger, Message
 from unbend.refraction.effect import FlightAir
+from unbend.stages import messages
 from unbend.stages.correction import correct_parts
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.opened_inputs import OpenedInputs
@@ -73,6 +74,9 @@ _OPTIONAL_COLUMNS = (
 _COLUMNS_OF_A_RUN = {"profile_id", "status", "q_w"}
 """Columns that together only the stations of a run have."""
 
+_DEFAULT_GROUND: Mapping[str, object] = {"height": {"column": "h_g_m"}, "reference": "msl"}
+"""The section ``ground`` of tables whose caller states nothing of it."""
+
 _REPLACED_SECTIONS = {"log", "stations", "events", "atmosphere", "output"}
 """Sections of a mission file that tables in memory take the place of."""
 
@@ -110,6 +114,8 @@ def correct(
         sigmas.
     sections : other sections of a mission file, as ``ground={"height": 120.0}``, or
         ``observations={"pixel_origin": "centre"}`` where pixels count from the centre of the first.
+        The section ``ground`` has the defaults ``height={"column": "h_g_m"}`` and
+        ``reference="msl"``, which the ledger names (TABLES-DEFAULT).
 
     Returns a table of the kind of ``observations`` with the columns of a run, the same to the last
     bit, its rows in the order of ``observations``; a DataFrame has their index. ``uncertainty``,
@@ -133,11 +139,12 @@ def correct(
         run_stations = stations_of(placed)
         from_run = mission.stations.model_copy(update={"orientation": None})
         mission = mission.model_copy(update={"log": None, "stations": from_run})
-    ledger = Ledger()
+    ledger = Ledger(choices_of_tables(mission, frame, orientation or {}, sections))
     mission, inputs = inputs_of_tables(mission, measured, frame, ledger)
     prepared = prepare_mission(mission, inputs, ledger, stations=run_stations)
     if not isinstance(profile, str | Mapping):
         prepared = replace(prepared, air=air_of_stations(profile, placed, prepared.stations))
+    report_given_air(profile, ledger)
     table, results = corrected_table(prepared)
     for entry in results.ledger:
         if entry.kind in LOSSES:
@@ -204,8 +211,8 @@ def mission_of_tables(
     """
     filled = [str(name) for name in frame if frame[name].notna().any()]
     given = {
-        "ground": {"height": {"column": "h_g_m"}, "reference": "msl"},
         **sections,
+        "ground": ground_section(sections.get("ground", {})),
         "mission": {"name": "tables", **sections.get("mission", {})},
         "observations": {**sections.get("observations", {}), "path": "observations"},
         "stations": {"orientation": orientation_section(filled, orientation)},
@@ -214,6 +221,72 @@ def mission_of_tables(
     if "profile_id" in filled:  # the cabin's air of a run's stations may be that of a log
         given["log"] = {"path": "-"}
     return mission_of(json.loads(json.dumps(given, default=_plain_value)), None, "sections")
+
+
+def ground_section(stated: object) -> object:
+    """The section ``ground``: as stated, with defaults for height and reference."""
+    if not isinstance(stated, Mapping):
+        return stated  # which the model of the mission refuses
+    return {**_DEFAULT_GROUND, **stated}
+
+
+def choices_of_tables(
+    mission: Mission,
+    frame: pd.DataFrame,
+    orientation: Mapping[str, Any],
+    sections: Mapping[str, Any],
+) -> Iterator[Message]:
+    """What was decided about tables in memory without being stated.
+
+    ``mission`` is theirs; ``frame`` is the table of stations, its columns named by quantities;
+    ``orientation`` and ``sections`` are as the caller stated them.
+    """
+    defaults = _DEFAULT_GROUND.keys() - sections.get("ground", {}).keys()
+    if defaults:
+        ground = mission.ground
+        yield messages.ground_by_default(
+            where="ground",
+            height=str(ground.model_dump()["height"]),
+            reference=ground.reference,
+        )
+    section = mission.stations.orientation
+    if section is None:
+        if orientation:
+            yield messages.orientation_not_used(
+                where="orientation",
+                count=len(orientation),
+                keys=", ".join(orientation),
+            )
+        return
+    filled = [str(name) for name in frame if frame[name].notna().any()]
+    used = set(stated_orientation(section).columns.values())
+    for alternatives in (_ANGLES_OF_COLUMN, _REFERENCE_OF_HEIGHT):
+        present = [name for name in alternatives if name in filled]
+        yield from unused_columns(present, used)
+    if "date" in orientation and "time_utc" in filled:
+        yield messages.date_before_times(where="orientation", date=str(orientation["date"]))
+
+
+def unused_columns(present: Sequence[str], used: Set[str]) -> Iterator[Message]:
+    """A warning if some of the columns that say the same are not used."""
+    unused = [name for name in present if name not in used]
+    if len(present) < 2 or not unused:
+        return
+    yield messages.columns_not_used(
+        where="stations",
+        count=len(unused),
+        unused=", ".join(unused),
+        used=", ".join(name for name in present if name in used),
+    )
+
+
+def report_given_air(profile: Air, ledger: Ledger) -> None:
+    """Note the air that the caller gave, in the place of words about a mission file."""
+    if isinstance(profile, Mapping):
+        return
+    ledger.remove(lambda message: message.code == messages.AIR_NOT_ADJUSTED.name)
+    air = f"the standard atmosphere {profile}" if isinstance(profile, str) else "a profile"
+    ledger.add(messages.air_is_given(air=air))
 
 
 def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dict[str, Any]:

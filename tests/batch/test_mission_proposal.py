@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,19 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from tests.helpers import channel
 from tests.ingest.ulog.test_log import flight
 from tests.logs import LOGS, at_hand
 from unbend.batch.proposal import mission_text
-from unbend.batch.proposal.log_facts import LogFacts, facts_of_log, place_remark
+from unbend.batch.proposal.log_facts import (
+    LogFacts,
+    compartment_of,
+    facts_of_log,
+    indoors_remark,
+    place_remark,
+)
 from unbend.batch.proposal.mission_text import propose_mission
 from unbend.batch.proposal.proposed_cameras import proposed_cameras
 from unbend.flight.channels import Channel
@@ -418,6 +426,67 @@ def test_names_of_files_do_not_break_the_yaml(mission, proposed, tmp_path):
     assert tree["observations"]["path"].endswith("o #1.csv")
     for section in tree["events"]["log"].values():
         assert section["image"].format(index=1) in set(rows["image"])
+
+
+def tlog_with_a_still_barometer(path: Path, highest_m: float) -> Path:
+    """A .tlog of a climb from 500 m, of which SCALED_PRESSURE2 is always 955 hPa."""
+    rows = []
+    for second in range(300):
+        height_m = 500.0 + (highest_m - 500.0) * min(second / 200.0, 1.0)
+        pressure_hpa = 1013.25 * (1.0 - 2.25577e-5 * height_m) ** 5.25588
+        rows += [
+            mavlink.MAVLink_gps_raw_int_message(
+                time_usec=1_000_000 * second,
+                fix_type=3,
+                lat=474_000_000 + 100 * second,
+                lon=85_000_000,
+                alt=round(1000.0 * height_m),
+                eph=100,
+                epv=100,
+                vel=0,
+                cog=0,
+                satellites_visible=12,
+            ),
+            mavlink.MAVLink_scaled_pressure_message(1000 * second, pressure_hpa, 0.0, 2000),
+            mavlink.MAVLink_scaled_pressure2_message(1000 * second, 955.0, 0.0, 2000),
+        ]
+    sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    log = bytearray()
+    for number, message in enumerate(rows):
+        log += struct.pack(">Q", 1_748_000_000_000_000 + 300_000 * number) + message.pack(sender)
+        sender.seq = (sender.seq + 1) % 256
+    path.write_bytes(log)
+    return path
+
+
+@pytest.mark.parametrize("highest_m", [2000.0, 4000.0])
+def test_below_3_km_a_second_barometer_proposes_no_window(tmp_path, highest_m):
+    log = tlog_with_a_still_barometer(tmp_path / "flight.tlog", highest_m)
+
+    text = propose_mission(log, None, None, tmp_path / "mission.yaml")
+
+    is_high = highest_m > 3000.0
+    assert ("window: TODO" in text) == is_high
+    assert ("SCALED_PRESSURE2 is in a closed compartment" in text) == is_high
+    assert ("SCALED_PRESSURE2 is not used: it does not follow the height" in text) != is_high
+    assert ("so no window is proposed" in text) != is_high
+
+
+@pytest.mark.parametrize(
+    ("indoors", "highest_m", "names", "remark"),
+    [
+        ([], 6000.0, "", ""),
+        (["BARO[1]"], 6000.0, "BARO[1]", "BARO[1] is in a closed compartment"),
+        (["BARO[1]"], 3000.0, "BARO[1]", "BARO[1] is in a closed compartment"),
+        (["BARO[1]"], 2999.0, "", "BARO[1] is not used: it does not follow the height"),
+    ],
+)
+def test_a_compartment_may_be_a_cabin_from_3_km_on(indoors, highest_m, names, remark):
+    compartment = compartment_of(indoors, highest_m)
+    text = indoors_remark(indoors, compartment)
+    assert compartment == names
+    assert text.startswith(remark)
+    assert bool(text) == bool(remark)
 
 
 @pytest.mark.parametrize(

@@ -141,6 +141,7 @@ def test_a_frame_that_nothing_confirms_says_so():
     (note,) = messages(BLOCK, nothing)
     assert note.code == "FRAME-UNVERIFIED"
     assert "are within 968 m, 853 to 853 m" in note.what
+    assert "stations.orientation.known_positions: {path: positions.csv}" in note.what
     assert not messages(BLOCK, nothing, must_be_tested=False)
     few = np.where(np.arange(24)[:, None] < 3, noisy(7), np.nan)
     assert codes(BLOCK, few) == ["FRAME-CONFIRMED", "FRAME-UNVERIFIED"]

@@ -76,6 +76,7 @@ flight:
       exposures: 61
       format_px: [2800, 2000]
       principal_distance_px: 4567.25
+      principal_point_px: [1402.5, 997.25]
       height_above_ground_m: [2823.4, 2927.3, 3061.2]
       axis_nadir_angle_deg: 1.66
       nadir_px: [1407.0, 1011.0]
@@ -224,9 +225,11 @@ def texts_in(panel: ET.Element, **attributes: str) -> list[str]:
 def test_every_cell_of_the_tables(page):
     (cameras,) = page.tables["Flight"]
     assert cameras == rows_of("""
-        camera | exposures | format | principal distance | axis from nadir | above ground | window
-        belly | 61 | 2800 × 2000 px | 4567.25 px | 1.7° | 2823 to 3061 m, median 2927 m | none
-        tail | 34 | 2800 × 2000 px | 3210 px | 45.2° | unknown | plane
+        camera | exposures | format | principal distance \
+            | principal point, from the upper left corner | axis from nadir | above ground | window
+        belly | 61 | 2800 × 2000 px | 4567.25 px | 1402.5, 997.25 px | 1.7° \
+            | 2823 to 3061 m, median 2927 m | none
+        tail | 34 | 2800 × 2000 px | 3210 px | unknown | 45.2° | unknown | plane
     """)
     correction, sizes = page.tables["How large the correction is"]
     assert correction == CORRECTION

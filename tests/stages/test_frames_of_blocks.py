@@ -243,6 +243,8 @@ def test_known_positions_are_compared_with_a_stated_frame(block, tmp_path):
     unverified = messages["FRAME-UNVERIFIED"]
     assert unverified["kind"] == "warning"
     assert "12 images are within 11 m" in unverified["what"]
+    to_write = "write stations.orientation.known_positions: {path: positions.csv}"
+    assert to_write in unverified["what"]
     text = verdict(read_manifest(tmp_path / "results"))
     assert "not needed here, if the frame of the block is right (nothing confirms it)" in text
 

@@ -12,7 +12,7 @@ from pandas.testing import assert_frame_equal, assert_index_equal
 from scipy.spatial.transform import Rotation
 
 import unbend
-from tests.helpers import entry_of, refused
+from tests.helpers import codes_of, entry_of, refused
 from tests.stages.block_files import CABIN
 from tests.stages.flown_images import NED_FROM_ENU
 from tests.stages.oriented_tables import (
@@ -209,6 +209,90 @@ def test_one_height_for_all(simple, frame):
     high = simple(ground={"height": 900.0, "reference": "msl"})
     assert (low["h_g_m"] == 100.0).all()
     assert (low["r_c_rad"] > high["r_c_rad"]).all()
+
+
+def test_a_part_of_the_ground_leaves_the_other_defaults(simple, frame):
+    usual = simple(frame)
+    with_sigma = simple(frame, ground={"sigma_m": 5.0})
+
+    assert_frame_equal(with_sigma[CORRECTED], usual[CORRECTED], check_exact=True)
+    for result in (usual, with_sigma):
+        default = entry_of(result.attrs, "TABLES-DEFAULT")
+        assert default["kind"] == "note"
+        assert "ground={'height': {'column': 'h_g_m'}, 'reference': 'msl'}" in default["what"]
+
+    high = simple(frame, ground={"height": 900.0})
+    stated = simple(frame, ground={"height": 900.0, "reference": "msl"})
+    assert_frame_equal(high[CORRECTED], stated[CORRECTED], check_exact=True)
+    assert "TABLES-DEFAULT" in codes_of(high.attrs)
+    assert "TABLES-DEFAULT" not in codes_of(stated.attrs)
+
+
+def test_what_is_chosen_among_columns_is_said(simple, frame, opk):
+    stated = {"ground": {"height": {"column": "h_g_m"}, "reference": "msl"}}
+    several = opk.rename(columns={"height": "h_msl_m"}).assign(
+        h_ellipsoid_m=opk["height"] + 47.0,
+        roll=0.0,
+        pitch=0.0,
+        yaw=0.0,
+    )
+
+    result = simple(frame, stations=several, orientation={"angles": "omega_phi_kappa"}, **stated)
+
+    texts = {entry["what"] for entry in result.attrs["ledger"] if entry["code"] == "TABLES-DEFAULT"}
+    assert len(texts) == 2
+    assert any("omega is used, but not roll" in text for text in texts)
+    assert any("h_msl_m is used, but not h_ellipsoid_m" in text for text in texts)
+
+
+def test_a_date_goes_before_the_times_and_says_so(simple, frame):
+    orientation = HEIGHTS | {"date": "2025-06-12"}
+    ground = {"height": {"column": "h_g_m"}, "reference": "msl"}
+
+    result = simple(frame, orientation=orientation, ground=ground)
+
+    entry = entry_of(result.attrs, "TABLES-DEFAULT")
+    assert entry["kind"] == "warning"
+    assert "the column time_utc is not used" in entry["what"]
+
+
+def test_an_orientation_beside_the_stations_of_a_run_is_not_used(baseline, frame, profile):
+    ground = {"height": {"column": "h_g_m"}, "reference": "msl"}
+
+    result = correct(
+        frame,
+        baseline.stations(),
+        profile,
+        baseline.config["cameras"],
+        orientation=HEIGHTS,
+        mount=baseline.config["mount"],
+        ground=ground,
+    )
+
+    entry = entry_of(result.attrs, "TABLES-DEFAULT")
+    assert entry["kind"] == "warning"
+    assert "heights of orientation is not used" in entry["what"]
+
+
+@pytest.mark.parametrize(
+    ("air", "text"),
+    [("us1976", "the standard atmosphere us1976"), (US1976, "a profile")],
+    ids=["name", "profile"],
+)
+def test_air_that_is_given_on_purpose_is_a_note(simple, frame, air, text):
+    entry = entry_of(simple(frame, profile=air).attrs, "AIR-NOT-ADJUSTED")
+    assert entry["kind"] == "note"
+    assert entry["what"] == f"the air is {text}, as given to correct(): it is used as it is"
+
+
+def test_sigmas_of_the_attitude_that_are_not_known_are_named(simple, frame, opk):
+    with_tilt = HEIGHTS | {"sigma_tilt_deg": 0.02}
+
+    what = entry_of(simple(frame, orientation=with_tilt).attrs, "SIGMA-UNKNOWN")["what"]
+
+    assert "stations.orientation.sigma_yaw_deg" in what
+    assert "sigma_tilt_deg" not in what
+    assert "stations.orientation.sigma_height_m" in what
 
 
 def test_another_method(simple):

@@ -456,7 +456,9 @@ def test_standard_atmosphere_kept(mission, baseline):
     mission.config["atmosphere"]["adjust"] = False
     manifest = mission.run_to_manifest()
     assert manifest["profile"]["basis"] == "standard"
-    assert entry_of(manifest, "AIR-NOT-ADJUSTED")["kind"] == "note"
+    entry = entry_of(manifest, "AIR-NOT-ADJUSTED")
+    assert entry["kind"] == "note"
+    assert "standard atmosphere us1976 is used" in entry["what"]
     assert 1e-4 < largest_difference(mission, baseline) < 0.2
 
 

@@ -548,6 +548,8 @@ def test_the_manifest_has_the_flight_and_where_its_cameras_look(baseline):
     oblique = flight["cameras"]["oblique"]
     assert np.linalg.norm(np.subtract(nadir["nadir_px"], CENTRE_PX)) < 1000.0
     assert nadir["axis_nadir_angle_deg"] < 3.0
+    of_nadir = baseline.config["cameras"]["nadir"]
+    assert nadir["principal_point_px"] == [of_nadir["cx_px"], of_nadir["cy_px"]]
     assert oblique["axis_nadir_angle_deg"] == approx(45.0, abs=2.0)
     to_nadir = np.subtract(oblique["nadir_px"], CENTRE_PX)
     assert np.linalg.norm(to_nadir) == approx(20_000.0, rel=0.1)

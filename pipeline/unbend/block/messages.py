@@ -264,11 +264,18 @@ FRAME_UNVERIFIED = Code(
         "check reports it, and every number of the run is wrong."
     ),
     remedy=(
-        "Compare extent and heights with the flight. Give stations.orientation.known_positions, "
-        "events.images with positions in EXIF, control, or the database with pose priors."
+        "Compare extent and heights with the flight. Write stations.orientation.known_positions: "
+        "{path: positions.csv}, a table of the columns image, latitude, longitude and height. The "
+        "section events.images with positions in EXIF, the section control, and a database with "
+        "pose priors confirm the frame too."
     ),
 )
 
+
+_WAYS_TO_CONFIRM = (
+    "To confirm the frame, write stations.orientation.known_positions: {{path: positions.csv}}, or "
+    "give events.images with positions in EXIF, or control"
+)
 
 SMALL_BLOCK_M = 10.0  # of a smaller one decimals are shown: it is a model without scale
 
@@ -281,11 +288,12 @@ def frame_unverified(*, where: str, count: int, extent: float, low: float, high:
             "nothing in this mission can verify the frame of the block: no file has positions of "
             "four images or more; a model without scale, in feet, tilted, turned or of another "
             "datum would look the same: the {count} images are within {extent} m, {low:.0f} to "
-            "{high:.0f} m above sea level; compare this with the flight"
+            "{high:.0f} m above sea level; compare this with the flight. " + _WAYS_TO_CONFIRM
         ),
         one=(
             "nothing in this mission can verify the frame of the block of 1 image: no file has "
-            "positions; the image is {high:.0f} m above sea level; compare this with the flight"
+            "positions; the image is {high:.0f} m above sea level; compare this with the flight. "
+            + _WAYS_TO_CONFIRM
         ),
         where=where,
         count=count,

@@ -76,7 +76,7 @@ def adjusted_profiles(
             utc_known=sources.utc_known,
         )
     else:
-        ledger.add(messages.air_not_adjusted())
+        ledger.add(messages.air_not_adjusted(standard=standard.name))
         adjustment = kept_standard(standard, latitude_rad, samples, sources)
     model = sources.model
     if model is not None and not is_used(model, adjustment):

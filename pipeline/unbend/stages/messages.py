@@ -302,17 +302,103 @@ def most_numbers_fall(*, where: str, count: int, total: int) -> Message:
 
 AIR_NOT_ADJUSTED = Code(
     "AIR-NOT-ADJUSTED",
-    means="atmosphere.adjust is false: the standard atmosphere was kept as it is.",
+    means=(
+        "The air was stated: a standard atmosphere (atmosphere.adjust: false, or its name in "
+        "Python), or a profile in Python. It was used as it is."
+    ),
     effect="No measurement of the air was used.",
-    remedy="To use the measurements, remove adjust: false.",
+    remedy=(
+        "Nothing, if that is meant. To use measurements, remove atmosphere.adjust: false; in "
+        "Python give the section atmosphere in the place of the name or the profile."
+    ),
 )
 
 
-def air_not_adjusted() -> Message:
-    """The standard atmosphere is kept as it is."""
+def air_not_adjusted(*, standard: str) -> Message:
+    """The mission file keeps a standard atmosphere as it is."""
     return note(
         AIR_NOT_ADJUSTED,
-        "atmosphere.adjust is false: the standard atmosphere is kept",
+        "the standard atmosphere {standard} is used as it is, as atmosphere.adjust: false states",
+        standard=standard,
+    )
+
+
+def air_is_given(*, air: str) -> Message:
+    """A caller in Python gives the air itself: a standard atmosphere by its name, or a profile."""
+    return note(
+        AIR_NOT_ADJUSTED,
+        "the air is {air}, as given to correct(): it is used as it is",
+        air=air,
+    )
+
+
+TABLES_DEFAULT = Code(
+    "TABLES-DEFAULT",
+    means=(
+        "correct() used a default for something that its arguments do not state, or chose one of "
+        "several columns of the table of stations."
+    ),
+    effect="A note; a warning if an argument or a column that has values was not used.",
+    remedy=(
+        "State what is meant: the section ground with height and reference, orientation with "
+        "angles, heights and columns. Leave out columns that are not meant."
+    ),
+)
+
+
+def ground_by_default(*, where: str, height: str, reference: str) -> Message:
+    """The section ``ground`` that `correct` uses, where it is not stated in full."""
+    return note(
+        TABLES_DEFAULT,
+        (
+            "ground is not stated in full, so the default completes it: "
+            "ground={{'height': {height}, 'reference': '{reference}'}}"
+        ),
+        where=where,
+        height=height,
+        reference=reference,
+    )
+
+
+def columns_not_used(*, where: str, count: int, unused: str, used: str) -> Message:
+    """Columns with values of a table of stations that says the same in several ways."""
+    return warning(
+        TABLES_DEFAULT,
+        (
+            "the table states the same in several ways: {used} is used, but not {unused}. Leave "
+            "out the columns that are not meant"
+        ),
+        where=where,
+        count=count,
+        unused=unused,
+        used=used,
+    )
+
+
+def orientation_not_used(*, where: str, count: int, keys: str) -> Message:
+    """Keys of an orientation that is stated beside the stations of a run, which have their own."""
+    return warning(
+        TABLES_DEFAULT,
+        (
+            "the stations are those of a run and are taken as they are: {keys} of orientation is "
+            "not used. Leave orientation out, or give the table without profile_id and status"
+        ),
+        where=where,
+        count=count,
+        keys=keys,
+    )
+
+
+def date_before_times(*, where: str, date: str) -> Message:
+    """A stated date goes before the times of the table of stations."""
+    return warning(
+        TABLES_DEFAULT,
+        (
+            "orientation states the date {date}, so the column time_utc is not used. Leave out the "
+            "date to use the times"
+        ),
+        where=where,
+        date=date,
     )
 
 
@@ -353,8 +439,11 @@ def flight_without_time(*, where: str) -> InputError:
 FLIGHT_UNDATED = Code(
     "FLIGHT-UNDATED",
     means="Neither the log nor the mission file states the date of the flight.",
-    effect="No season is assumed. The climatology has the spread of the whole year.",
-    remedy="State mission.date.",
+    effect=(
+        "No season is assumed. The climatology has the spread of the whole year. Soundings and "
+        "surface reports that have a time are refused, because their age is unknown."
+    ),
+    remedy="Write mission.date: 2026-05-14, or with the time in UTC, 2026-05-14T10:20.",
 )
 
 
@@ -1024,7 +1113,13 @@ SIGMA_UNKNOWN = Code(
     "SIGMA-UNKNOWN",
     means="Standard deviations of some causes are not known.",
     effect="The sigma columns do not contain their effect on the corrections.",
-    remedy="State them in the mission file.",
+    remedy=(
+        "State them under the keys that the entry names. Attitudes and heights of a log: "
+        "sigma_tilt_deg and sigma_yaw_deg of the section mount. Those of a table: sigma_tilt_deg, "
+        "sigma_yaw_deg and sigma_height_m of the section stations.orientation, or columns of the "
+        "table. Ground: ground.sigma_m or ground.sigma_column. In Python the table of stations may "
+        "have the columns sigma_tilt_deg, sigma_yaw_deg and sigma_height_m."
+    ),
 )
 
 

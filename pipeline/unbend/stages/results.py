@@ -201,6 +201,7 @@ def record_of_camera(name: str, camera: Camera, stations: Stations, above_m: Arr
         height_above_ground_m=spread(above_m, 1),
         axis_nadir_angle_deg=angle_deg,
         nadir_px=nadir_pixel(camera, x, y, z),
+        principal_point_px=[float(f"{camera.cx_px:.10g}"), float(f"{camera.cy_px:.10g}")],
     )
 
 

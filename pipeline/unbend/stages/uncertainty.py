@@ -184,12 +184,7 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
     """Standard deviations that nothing gives, each with the key that would state it."""
     if not all(timed.has_covariance for timed in air.timed_profiles):
         yield "the air (its profile has no covariance)"
-    unknown = stations.ok & np.isnan(station_sigmas(mission, stations).tilt_rad)
-    for name in sorted(set(stations.camera[unknown].tolist())):
-        section = (
-            f"mount.{name}" if mission.stations.orientation is None else "stations.orientation"
-        )
-        yield f"the attitude ({section}.sigma_tilt_deg)"
+    yield from missing_sigmas_of_attitudes(mission, stations)
     if mission.ground.sigma_m is None and mission.ground.sigma_column is None:
         yield "the ground (ground.sigma_m or ground.sigma_column)"
     without_height_sigma = int((stations.ok & ~np.isfinite(stations.sigma_height_m)).sum())
@@ -200,6 +195,28 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
             source = "stations.orientation.sigma_height_m"
         yield f"the height of {counted} ({source})"
     yield from missing_sigmas_of_cabins(mission, stations)
+
+
+def missing_sigmas_of_attitudes(mission: Mission, stations: Stations) -> Iterator[str]:
+    """The standard deviations that attitudes lack, each with the key that would state it.
+
+    The effect of the attitude is known only where tilt and yaw both have one.
+    """
+    sigmas = station_sigmas(mission, stations)
+    of_attitude = {
+        "sigma_tilt_deg": sigmas.tilt_rad,
+        "sigma_yaw_deg": sigmas.yaw_rad,
+    }
+    keys = []
+    for key, sigma in of_attitude.items():
+        lacking = stations.ok & np.isnan(sigma)
+        if mission.stations.orientation is None:
+            cameras = sorted(set(stations.camera[lacking].tolist()))
+            keys += [f"mount.{camera}.{key}" for camera in cameras]
+        elif bool(lacking.any()):
+            keys.append(f"stations.orientation.{key}")
+    for key in keys:
+        yield f"the attitude ({key})"
 
 
 def missing_sigmas_of_cabins(mission: Mission, stations: Stations) -> Iterator[str]:

@@ -391,6 +391,29 @@ def test_bundler_is_undistorted_and_centred(block, written):
     assert_within(np.loadtxt(points[::3]), frame(places), 1e-3)
     assert bundler.count == tied.sum()
     assert bundler.message("EXPORT-SINGLE").count == (~tied).sum()
+    points = bundler.message("EXPORT-POINTS")
+    assert points.count == tied.sum()
+    assert f"of {len(block.tied):,} points in 12 images" in points.what
+
+
+@pytest.mark.parametrize("name", ["bundler", "colmap"])
+def test_a_block_whose_points_are_mostly_of_one_image_is_a_warning(block, name):
+    """As a table whose points are row numbers: nothing ties the images."""
+    image_points = block.rows.groupby("point", sort=False)
+    several = block.rows[image_points.image.transform("size") > 1]
+    tied = several[several.point == several.point.iloc[0]]
+    others = block.rows.drop(tied.index)
+    row_numbers = [f"row {number}" for number in range(len(others))]
+    rows = pd.concat([tied, others.assign(point=row_numbers)], ignore_index=True)
+
+    exported = write_export(block.run(rows), name)
+
+    single = exported.message("EXPORT-SINGLE")
+    assert single.kind == "warning"
+    assert single.count == len(others)
+    percent = 100.0 * len(others) / len(rows)
+    assert f"{percent:.0f} % of the {len(rows)} image points" in single.what
+    assert "observations.columns.point" in single.what
 
 
 def test_bundler_has_the_calibrations_beside(block, written):

@@ -154,3 +154,6 @@ def test_blocks_exchange_says_its_system_and_what_it_lacks(square):
     tied = square.rows.point.isin(square.tied)
     assert written.count == tied.sum()
     assert ("note", "EXPORT-SINGLE", (~tied).sum()) in written.counts
+    points = written.message("EXPORT-POINTS")
+    assert points.count == tied.sum()
+    assert f"of {len(square.tied):,} points in" in points.what

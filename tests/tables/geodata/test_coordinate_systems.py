@@ -49,6 +49,8 @@ def test_utm_has_the_published_place_and_convergence():
     assert entry.kind == "warning"
     assert entry.code == "CRS-DATUM"
     assert "needs uk_os_OSTN15" in entry.what
+    assert "python -m pyproj sync --file" in entry.what
+    assert entry.what.endswith("write that system as crs")
 
 
 EGM96_AT_0_0 = 17.16  # m, published
@@ -206,6 +208,7 @@ def test_positions_outside_the_area_of_the_system():
     assert np.isnan(places.lat_rad).tolist() == [False, False, True]
     (loss,) = with_code(notes, "CRS-AREA")
     assert loss.kind == "loss"
+    assert "write it as crs" in loss.what
 
 
 def test_an_area_across_the_date_line():

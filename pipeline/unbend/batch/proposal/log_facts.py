@@ -1,6 +1,7 @@
 """What a flight log decides of its mission file, and what it leaves open."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,9 @@ from unbend.ingest.overview import SEA_LEVEL, flight_of
 OPEN_ROLES = ("ROLE-AMBIGUOUS", "CHANNEL-MISSING")
 """Codes of notes on roles that a log leaves open."""
 
+LOWEST_PRESSURISED_M = 3000.0
+"""Up to this height a usual cabin has the pressure outside (Gyer 1996, Table 7)."""
+
 LATE_TRIGGER = "EVENTS-TRIGGER-TIME"
 """Code of notes on channels of events that have the times of the triggers, not of the shutter."""
 
@@ -35,7 +39,7 @@ class LogFacts:
     events : channels of exposures.
     remarks : what stands at the beginning of the file, in sentences.
     roles : keys under ``log.channels`` that are open.
-    compartment : names of barometers in a closed compartment.
+    compartment : names of barometers in a closed compartment, which may be a pressurised cabin.
     takeoff : the height of the take-off, in words.
     gimbals : names of channels with attitudes of gimbals.
     trigger : names of channels of events with the times of the triggers.
@@ -62,7 +66,7 @@ def facts_of_log(path: Path) -> LogFacts:
             indoors.append(note.where)
         elif note.code in OPEN_ROLES:
             open_roles[note.where.removeprefix("log.channels.")] = None
-    compartment = ", ".join(indoors)
+    compartment = compartment_of(indoors, highest_of(plausible))
     for role in open_roles:
         questions += questions_of_role(role, log.channels, compartment)
 
@@ -70,8 +74,7 @@ def facts_of_log(path: Path) -> LogFacts:
     remarks = [time_remark(log), place_remark(plausible), heights_remark(plausible, takeoff)]
     decided = [f"{role} {roles[role].name}" for role in roles if role not in open_roles]
     remarks.append(f"detected automatically: {', '.join(decided)}")
-    if indoors:
-        remarks.append(f"{compartment} is in a closed compartment: it does not follow the height")
+    remarks.append(indoors_remark(indoors, compartment))
     events = best_of([channel for channel in log.channels if channel.fits_role("events")])
     return LogFacts(
         events=events,
@@ -82,6 +85,40 @@ def facts_of_log(path: Path) -> LogFacts:
         gimbals=", ".join(gimbal_channels(log)),
         trigger=", ".join(late_events(log, events)),
     )
+
+
+def compartment_of(indoors: Sequence[str], highest_m: float) -> str:
+    """The names of barometers that may be in a pressurised cabin; "" for none.
+
+    ``indoors`` are those that do not follow the height, ``highest_m`` is that of the flight.
+    """
+    return ", ".join(indoors) if highest_m >= LOWEST_PRESSURISED_M else ""
+
+
+def indoors_remark(indoors: Sequence[str], compartment: str) -> str:
+    """What is said of barometers that do not follow the height; "" without any.
+
+    ``compartment`` names them if they may be in a pressurised cabin.
+    """
+    if not indoors:
+        return ""
+    if compartment:
+        return f"{compartment} is in a closed compartment: it does not follow the height"
+    return (
+        f"{', '.join(indoors)} is not used: it does not follow the height. The flight is below "
+        f"{LOWEST_PRESSURISED_M:.0f} m, where a second barometer is usually a spare of the "
+        "autopilot, so no window is proposed; behind a pressurised window write "
+        "window: {cabin: log} under cameras.<name>"
+    )
+
+
+def highest_of(roles: Mapping[str, Channel]) -> float:
+    """The greatest height of a flight [m]; -inf without heights."""
+    height = roles.get("height")
+    if height is None or height.height_column is None:
+        return -math.inf
+    heights_m = height[height.height_column]
+    return float(np.max(heights_m[np.isfinite(heights_m)], initial=-math.inf))
 
 
 def plausible_roles(

@@ -25,7 +25,7 @@ from unbend.tables.exports.export_frames import (
     angles_of_block,
     block_positions,
 )
-from unbend.tables.exports.exported_block import ExportedBlock, block_of
+from unbend.tables.exports.exported_block import ExportedBlock, block_of, note_written
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 from unbend.units import Array
 
@@ -48,8 +48,15 @@ def write_blocks_exchange(run: FinishedRun, _: Values, path: Path, ledger: Ledge
     """One file with the block; the number of measurements."""
     block = block_of(run, ledger)
     single = int(np.sum(block.count[block.point] < 2))
+    written = int(block.point.size) - single
+    note_written(block, written, len(block.point_m), ledger)
     if single:
-        ledger.add(messages.single_points_not_written(where="observations", count=single))
+        not_written = messages.single_points_not_written(
+            where="observations",
+            count=single,
+            total=block.point.size,
+        )
+        ledger.add(not_written)
     lat, lon, height = block.frame.origin_deg.tolist()
     with path.open("w", encoding="utf-8") as file:
         file.write(
@@ -65,7 +72,7 @@ def write_blocks_exchange(run: FinishedRun, _: Values, path: Path, ledger: Ledge
         file.write("</Photogroups>\n<ControlPoints/>\n<TiePoints>\n")
         file.writelines(tie_points(block, height))
         file.write("</TiePoints>\n</Block>\n</BlocksExchange>\n")
-    return int(block.point.size) - single
+    return written
 
 
 def interior(camera: Camera, name: str) -> str:

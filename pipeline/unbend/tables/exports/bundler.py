@@ -30,6 +30,7 @@ from unbend.tables.exports.exported_block import (
     ExportedBlock,
     block_of,
     ideal_coordinates,
+    note_written,
     refuse_names,
 )
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
@@ -44,6 +45,7 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     views_of_point = np.bincount(block.point[np.isfinite(xy[:, 0])], minlength=block.count.size)
     tied = np.flatnonzero(views_of_point > 1)
     written = int(views_of_point[tied].sum())
+    note_written(block, written, tied.size, ledger)
     report_unwritten(block, written, ledger)
     with (folder / "bundle.out").open("w", encoding="utf-8") as file:
         file.write(f"# Bundle file v0.3\n{block.image.size} {tied.size}\n")
@@ -63,7 +65,12 @@ def report_unwritten(block: ExportedBlock, written: int, ledger: Ledger) -> None
     """Image points that the file lacks: alone of their object point, or not to be undistorted."""
     single = int(np.sum(block.count[block.point] < 2))
     if single:
-        ledger.add(messages.single_points_not_written(where="observations", count=single))
+        not_written = messages.single_points_not_written(
+            where="observations",
+            count=single,
+            total=block.point.size,
+        )
+        ledger.add(not_written)
     beyond = int(block.point.size) - single - written
     if beyond:
         ledger.add(messages.points_beyond_distortion(where="observations", count=beyond))

@@ -165,15 +165,24 @@ def block_of(
         _fill_object_points(block, stations.rows(rows), points.h_g_m, ledger)
     lat, lon, h = frame.origin_deg.tolist()
     ledger.add(messages.block_frame(where="stations.parquet", lat=lat, lon=lon, h=h))
+    return block
+
+
+def note_all_written(block: ExportedBlock, ledger: Ledger) -> None:
+    """Note that a file has all image points of a block."""
+    note_written(block, block.point.size, block.count.size, ledger)
+
+
+def note_written(block: ExportedBlock, observations: int, points: int, ledger: Ledger) -> None:
+    """Note how many image points, and of how many points, a file has."""
     ledger.add(
         messages.points_written(
             where="observations",
-            count=points.image.size,
-            points=len(points.name),
-            images=rows.size,
+            count=observations,
+            points=points,
+            images=block.image.size,
         )
     )
-    return block
 
 
 def _fill_object_points(

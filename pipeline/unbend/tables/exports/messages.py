@@ -698,14 +698,37 @@ EXPORT_SINGLE = Code(
     means="Points were measured in only one image.",
     effect=(
         "Their image points have no object point, or the format has no place for them. A bundle "
-        "adjustment does not use them."
+        "adjustment does not use them. A note; a warning if they are more than half of the image "
+        "points."
     ),
-    remedy="Nothing.",
+    remedy=(
+        "Give each point the same name in all images that show it: observations.columns.point "
+        "names the column. If the points are really in one image only, measure them in more images."
+    ),
 )
 
+_MOST_ARE_LOST = (
+    "{percent:.0f} % of the {total}. Give each point the same name in all images that show it; "
+    "observations.columns.point names the column"
+)
 
-def single_points(*, where: str, count: int) -> Message:
-    """Points of one image, in a model."""
+MOST_SINGLE = 0.5  # part of the image points of which an adjustment can do without
+
+
+def single_points(*, where: str, count: int, total: int) -> Message:
+    """Points of one image, in a model of ``total`` image points."""
+    if count > MOST_SINGLE * total:
+        return warning(
+            EXPORT_SINGLE,
+            (
+                "{count} points were measured in only one image. A bundle adjustment does not use "
+                + _MOST_ARE_LOST
+            ),
+            where=where,
+            count=count,
+            total=Counted(total, "image point"),
+            percent=100.0 * count / total,
+        )
     return note(
         EXPORT_SINGLE,
         "{count} points were measured in only one image: their image points have no object point",
@@ -715,8 +738,20 @@ def single_points(*, where: str, count: int) -> Message:
     )
 
 
-def single_points_not_written(*, where: str, count: int) -> Message:
-    """Points of one image, which a format has no place for."""
+def single_points_not_written(*, where: str, count: int, total: int) -> Message:
+    """Points of one image, which a format has no place for; of ``total`` image points."""
+    if count > MOST_SINGLE * total:
+        return warning(
+            EXPORT_SINGLE,
+            (
+                "{count} image points are not written, because each is the only one of its object "
+                "point. A bundle adjustment does not get " + _MOST_ARE_LOST
+            ),
+            where=where,
+            count=count,
+            total=Counted(total, "image point"),
+            percent=100.0 * count / total,
+        )
     return note(
         EXPORT_SINGLE,
         "{count} image points are not written: each is the only one of its object point",

@@ -26,7 +26,12 @@ from unbend.tables.exports.export_frames import (
     angles_of_block,
     block_positions,
 )
-from unbend.tables.exports.exported_block import ExportedBlock, block_of, refuse_names
+from unbend.tables.exports.exported_block import (
+    ExportedBlock,
+    block_of,
+    note_all_written,
+    refuse_names,
+)
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 from unbend.units import Integers
 
@@ -58,6 +63,7 @@ def opensfm_camera(camera: Camera, name: str) -> dict[str, Any]:
 def write_project(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
     """The four files of a project with one reconstruction."""
     block = block_of(run, ledger)
+    note_all_written(block, ledger)
     refuse_names(block.image, r"[\t\r\n]", "OpenSfM")
     ids = point_ids(block, folder)
     cameras = {name: opensfm_camera(camera, name) for name, camera in block.cameras.items()}

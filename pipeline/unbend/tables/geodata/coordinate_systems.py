@@ -72,6 +72,7 @@ def places_of(
     count = int(is_known.sum())
     note = messages.positions_on_wgs84(
         where=where,
+        key=key,
         count=count,
         system=horizontal.name,
         crs=crs,
@@ -86,7 +87,9 @@ def places_of(
     lon[~is_known] = np.nan
     beyond = count - int(is_known.sum())
     if beyond > 0:
-        notes.append(messages.positions_beyond_grid(where=where, count=beyond, operation=by))
+        notes.append(
+            messages.positions_beyond_grid(where=where, key=key, count=beyond, operation=by)
+        )
     convergence = np.zeros(lat.size)
     if horizontal.is_projected:
         known_places = lon_lat[:, is_known]
@@ -458,6 +461,7 @@ def _inside(
         )
     some_outside = messages.some_positions_outside(
         where=where,
+        key=key,
         count=count,
         total=total,
         system=horizontal.name,

@@ -66,6 +66,7 @@ def frame_of_datum(
     ecef = ecef_of_geodetic(np.radians(lat), np.radians(lon), h)
     note = messages.positions_on_wgs84(
         where=where,
+        key=key,
         count=int(is_known.sum()),
         system=f"{datum.name}, earth-centred",
         crs=datum.name,

@@ -13,7 +13,11 @@ CRS_AREA = Code(
         "transformation."
     ),
     effect="They are unknown. If half of them or more are unknown, the mission is refused.",
-    remedy="Check the system, and which column is x (east) and which is y (north).",
+    remedy=(
+        "Write the system of the positions under the key that the message names, for example "
+        "stations.orientation.crs: EPSG:25832. Check which column is x (east) and which is y "
+        "(north)."
+    ),
 )
 
 
@@ -65,14 +69,30 @@ def positions_outside(
 
 
 def some_positions_outside(
-    *, where: str, count: int, total: int, system: str, area: str, x: float, y: float
+    *,
+    where: str,
+    key: str,
+    count: int,
+    total: int,
+    system: str,
+    area: str,
+    x: float,
+    y: float,
 ) -> Message:
     """Some positions, fewer than half, lie outside the area of use of their system."""
     return loss(
         CRS_AREA,
-        ("{count} of {total} are outside the area of {system} ({area}), the first is {x:g}, {y:g}"),
-        one="1 of {total} is outside the area of {system} ({area}): {x:g}, {y:g}",
+        (
+            "{count} of {total} are outside the area of {system} ({area}), the first is {x:g}, "
+            "{y:g}. If the system is another one, write it as {key}; correct these rows if they "
+            "are wrong"
+        ),
+        one=(
+            "1 of {total} is outside the area of {system} ({area}): {x:g}, {y:g}. If the system is "
+            "another one, write it as {key}; correct this row if it is wrong"
+        ),
         where=where,
+        key=key,
         count=count,
         total=Counted(total, "position"),
         system=system,
@@ -82,13 +102,20 @@ def some_positions_outside(
     )
 
 
-def positions_beyond_grid(*, where: str, count: int, operation: str) -> Message:
+def positions_beyond_grid(*, where: str, key: str, count: int, operation: str) -> Message:
     """Positions inside the system's area where the transformation's grid has no value."""
     return loss(
         CRS_AREA,
-        "{count} positions are outside the grid of {operation}",
-        one="1 position is outside the grid of {operation}",
+        (
+            "{count} positions are outside the grid of {operation}. Transform the coordinates to "
+            "WGS 84 with a program that has a grid there, and write {key}: EPSG:4326"
+        ),
+        one=(
+            "1 position is outside the grid of {operation}. Transform the coordinates to WGS 84 "
+            "with a program that has a grid there, and write {key}: EPSG:4326"
+        ),
         where=where,
+        key=key,
         count=count,
         operation=operation,
     )
@@ -121,20 +148,39 @@ CRS_DATUM = Code(
     "CRS-DATUM",
     means="Positions were transformed to WGS 84 by the named transformation.",
     effect="A note; a warning if it is not better than 1 m.",
-    remedy="If metres matter, install the grid that the entry names.",
+    remedy=(
+        "If metres matter, install the grid that the entry names: python -m pyproj sync --file "
+        "NAME. Or transform the coordinates to a system on WGS 84 or ETRS89, and write that system "
+        "under the key that the entry names, for example stations.orientation.crs: EPSG:25832."
+    ),
+)
+
+_WGS84_BETTER = (
+    ". If metres matter, install the grid if one is named here (python -m pyproj sync --file "
+    "NAME), or transform the coordinates to a system on WGS 84 or ETRS89 and write that system as "
+    "{key}"
 )
 
 
 def positions_on_wgs84(
-    *, where: str, count: int, system: str, crs: str, operation: str, is_good: bool
+    *,
+    where: str,
+    key: str,
+    count: int,
+    system: str,
+    crs: str,
+    operation: str,
+    is_good: bool,
 ) -> Message:
     """Positions were brought to WGS 84; a warning where that is not good to 1 m."""
     send = note if is_good else warning
+    advice = "" if is_good else _WGS84_BETTER
     return send(
         CRS_DATUM,
-        "{count} positions in {system} ({crs}) transformed to WGS 84 by {operation}",
-        one="1 position in {system} ({crs}) transformed to WGS 84 by {operation}",
+        "{count} positions in {system} ({crs}) transformed to WGS 84 by {operation}" + advice,
+        one="1 position in {system} ({crs}) transformed to WGS 84 by {operation}" + advice,
         where=where,
+        key=key,
         count=count,
         system=system,
         crs=crs,

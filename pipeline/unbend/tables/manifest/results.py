@@ -36,6 +36,8 @@ class FlownCamera:
     """A camera at its exposures; spreads are lowest, median and highest.
 
     ``nadir_px`` is the pixel of the nadir for the median axis, None where it is not in view.
+    Pixels count from the corner of the upper left one. ``principal_point_px`` is None in runs of
+    versions that did not write it.
     """
 
     exposures: int
@@ -44,6 +46,7 @@ class FlownCamera:
     height_above_ground_m: list[float] | None
     axis_nadir_angle_deg: float | None
     nadir_px: list[float] | None
+    principal_point_px: list[float] | None = None
 
 
 @dataclass(frozen=True)
