@@ -348,7 +348,6 @@ atmosphere/test_model_montecarlo.py
 block/test_assignment.py::test_constant_intervals_are_refused
 block/test_assignment.py::test_drawn_flights_are_right_or_refused
 block/test_diagnosis.py
-block/test_simulated_mission.py
 faults/
 flight/test_gimbal.py::test_a_mission
 flight/test_injected_faults.py
@@ -420,7 +419,6 @@ refraction/test_ray.py::test_targets_above
 refraction/test_steep.py
 refraction/test_terrain.py::test_rays_land_where_an_integrated_ray_does
 report/test_browser.py::test_nothing_is_wider_than_the_screen
-report/test_explanations.py::test_the_commands
 simulate/test_mission.py
 stages/test_air_of_mission.py::test_a_sounding_of_another_time_or_place
 stages/test_angle_roads.py

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.small_block import ecef, enu_axes
 from unbend.block.image_rays import ImageRays, Orientations
 
-A = 6378137.0
-E2 = 0.00669437999014
 METRES_OF_LATITUDE = 6.37e6
 LAT = np.radians(47.0)
 LON = np.radians(8.0)
@@ -23,37 +22,19 @@ WIDEST_TANGENT = 0.45  # that an image shows, along its sides
 
 def axes(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
     """(n, 3, 3) rows east, north, up."""
-    level = np.cos(lat)
-    up = np.stack(
-        [
-            level * np.cos(lon),
-            level * np.sin(lon),
-            np.sin(lat),
-        ],
-        -1,
-    )
-    east = np.stack(
-        [
-            -np.sin(lon),
-            np.cos(lon),
-            np.zeros_like(lat),
-        ],
-        -1,
-    )
-    return np.stack([east, np.cross(up, east), up], -2)
+    places_deg = np.degrees([lat, lon]).T
+    return np.array([enu_axes(*place) for place in places_deg])
 
 
-def ecef(
+def centres(
     lat: np.ndarray,
     lon: np.ndarray,
     h: np.ndarray,
 ) -> np.ndarray:
-    n = A / np.sqrt(1.0 - E2 * np.sin(lat) ** 2)
-    level = (n + h) * np.cos(lat)
-    x = level * np.cos(lon)
-    y = level * np.sin(lon)
-    z = (n * (1.0 - E2) + h) * np.sin(lat)
-    return np.stack([x, y, z], -1)
+    """(n, 3) earth-centred."""
+    lat_deg = np.degrees(lat)
+    lon_deg = np.degrees(lon)
+    return ecef(lat_deg, lon_deg, h)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -91,7 +72,7 @@ class Block:
         frames = axes(self.lat, self.lon)
         return Orientations(
             self.camera,
-            ecef(self.lat, self.lon, self.h),
+            centres(self.lat, self.lon, self.h),
             self.camera_from_enu @ frames,
             frames,
             self.sigma,
@@ -131,8 +112,8 @@ def simulate_block(
     point_x = rng.uniform(-margin, x.max() + margin, points)
     point_y = rng.uniform(-margin, y.max() + margin, points)
     point_h = rng.uniform(0.0, 60.0, points)
-    ground = ecef(*places(point_x, point_y), point_h)
-    to_ground = ground[None] - ecef(lat, lon, h)[:, None]
+    ground = centres(*places(point_x, point_y), point_h)
+    to_ground = ground[None] - centres(lat, lon, h)[:, None]
     camera_from_ecef = camera_from_enu @ axes(lat, lon)
     ray = np.einsum("sij,spj->spi", camera_from_ecef, to_ground)
     tangents = np.abs(ray[..., :2] / ray[..., 2:])

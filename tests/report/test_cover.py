@@ -51,13 +51,6 @@ def test_what_the_mission_file_says_stands_first_in_any_letters(flown):
     assert page.text.count(PROCESSED) == 1
 
 
-def test_without_those_keys_the_name_is_the_title(flown):
-    page = page_of(whole_manifest(), flown)
-    assert "ridge <north> & [red]south" in page.texts_of("h1")
-    labels = {text for _, text in page.texts}
-    assert labels.isdisjoint(["Client", "Operator", "Mission"])
-
-
 def test_a_day_that_is_another_one_here(flown):
     manifest = whole_manifest()
     manifest["config"]["mission"] = {"time_zone": "America/Los_Angeles"}

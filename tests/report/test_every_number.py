@@ -363,42 +363,31 @@ def band(axis) -> tuple[float, float]:
     return min(edges), max(edges)
 
 
+# By hand: 290 - 13 - 273.15 °C; 1000 - 160 hPa; 9 - 2 hPa; 290 - 40 ppm.
+AIR_AT_2000_M = [  # panel, this flight, its sigma, standard
+    ("temperature T [°C]", 3.85, 0.5, 2.0),
+    ("pressure p [hPa]", 840.0, 0.84, 853.25),
+    ("vapour pressure e [hPa]", 7.0, 0.6, -2.0),
+    ("refractivity N = (n − 1) 10⁶", 250.0, 1.4, 240.0),
+    ("N against us1962 [%]", 100.0 * (250.0 / 240.0 - 1.0), 1.4 / 2.4, 0.0),
+]
+
+
 def test_every_curve_of_the_air(air):
     figure = profile_figure(air, SAMPLES)
-    t, p, e, n, against, words = figure.axes
-    assert [axis.get_xlabel() for axis in (t, p, e, n, against)] == lines_of("""
-        temperature T [°C]
-        pressure p [hPa]
-        vapour pressure e [hPa]
-        refractivity N = (n − 1) 10⁶
-        N against us1962 [%]
-    """)
-    assert t.get_ylabel() == n.get_ylabel() == "height above sea level [m]"
-    # Heights of 1000 to 2000 m and 6 % of them, upwards.
-    for axis in (t, p, e, n, against):
+    *panels, words = figure.axes
+    for axis, (label, ours, sigma, standard) in zip(panels, AIR_AT_2000_M, strict=True):
+        assert axis.get_xlabel() == label
+        # Heights of 1000 to 2000 m and 6 % of them, upwards.
         assert axis.get_ylim() == pytest.approx((940.0, 2060.0))
-    ours = f"of this flight {ADJUSTED}"
-    standard = f"us1962 {STANDARD}"
+        assert curve(axis, f"of this flight {ADJUSTED}") == pytest.approx(ours)
+        assert curve(axis, f"us1962 {STANDARD}") == pytest.approx(standard)
+        assert band(axis) == pytest.approx((ours - sigma, ours + sigma))
+    t, p, e, n, _ = panels
+    assert t.get_ylabel() == n.get_ylabel() == "height above sea level [m]"
     evening = "parts of the flight #93c5fd"
-    # At 2000 m, by hand: 290 - 13 - 273.15; 1000 - 160 hPa; 9 - 2 hPa; 290 - 40 ppm.
-    assert curve(t, ours) == pytest.approx(3.85)
-    assert curve(t, standard) == pytest.approx(2.0)
     assert curve(t, evening) == pytest.approx(-1.15)
-    assert curve(p, ours) == pytest.approx(840.0)
-    assert curve(p, standard) == pytest.approx(853.25)
     assert curve(p, evening) == pytest.approx(830.0)
-    assert curve(e, ours) == pytest.approx(7.0)
-    assert curve(e, standard) == pytest.approx(-2.0)
-    assert curve(n, ours) == pytest.approx(250.0)
-    assert curve(n, standard) == pytest.approx(240.0)
-    middle = 100.0 * (250.0 / 240.0 - 1.0)
-    assert curve(against, ours) == pytest.approx(middle)
-    assert curve(against, standard) == 0.0
-    assert band(t) == pytest.approx((3.35, 4.35))
-    assert band(p) == pytest.approx((839.16, 840.84))
-    assert band(e) == pytest.approx((6.4, 7.6))
-    assert band(n) == pytest.approx((248.6, 251.4))
-    assert band(against) == pytest.approx((middle - 1.4 / 2.4, middle + 1.4 / 2.4))
     # Readings: the second of the temperatures is an outlier, the third was not accepted.
     celsius, heights = values(t, f"HYGR[0], used {MEASURED}")
     assert celsius == pytest.approx([10.0])

@@ -1,10 +1,7 @@
 """`unbend help` and `unbend schema`: keys, codes and exit codes, offline."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 
 import pytest
 import yaml
@@ -60,28 +57,23 @@ def test_every_status_is_found():
         assert explain(status)[0].startswith(f"{status} (status of ")
 
 
-def test_the_commands(tmp_path):
-    def unbend(*words):
-        return subprocess.run(
-            [sys.executable, "-m", "unbend", *words],
-            capture_output=True,
-            text=True,
-            timeout=120,
-            cwd=tmp_path,
-            env=os.environ | {"COLUMNS": "80"},
-        )
-
+@pytest.mark.usefixtures("eighty_columns")
+def test_the_commands(unbend, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     schema = unbend("schema", "--out", "mission.schema.json")
-    assert schema.returncode == 0
-    assert schema.stdout == "mission.schema.json\n"
+    assert schema.code == 0
+    assert schema.out == "mission.schema.json\n"
     assert json.loads((tmp_path / "mission.schema.json").read_text()) == mission_schema()
     explained = unbend("help", "EVENTS-AMBIGUOUS")
-    assert explained.returncode == 0
-    assert "  effect on the result: The mission is refused." in explained.stdout
-    assert max(map(len, explained.stdout.splitlines())) <= 80
-    unknown = unbend("help", "nothing-like-it")
-    assert unknown.returncode == 2
-    assert "HELP-WORD" in unknown.stderr
+    assert explained.code == 0
+    assert "  effect on the result: The mission is refused." in explained.out
+    assert max(map(len, explained.out.splitlines())) <= 80
+    assert unbend("help", "lever", "arm").out.startswith("lever arm\n")
+    assert unbend("help", "run").out == "run (command)\n  explained by: unbend run --help\n"
+    assert "unbend profile --help" in unbend("help", "profile").out
+    unknown = unbend("help", "nothing", "like", "it")
+    assert unknown.code == 2
+    assert "HELP-WORD" in unknown.err
 
 
 def test_columns_of_results_are_explained_table_by_table():
@@ -127,12 +119,3 @@ def test_what_is_a_key_and_a_word_is_explained_as_both():
     assert lines[0] == "mount"
     assert "  takes: a section for each name" in lines
     assert lines.count("mount") == 2
-
-
-def test_words_of_several_parts_and_commands_through_the_command_line(unbend):
-    ended = unbend("help", "lever", "arm")
-    assert ended.code == 0
-    assert ended.out.startswith("lever arm\n")
-    assert unbend("help", "run").out == "run (command)\n  explained by: unbend run --help\n"
-    assert "unbend profile --help" in unbend("help", "profile").out
-    assert unbend("help", "nothing", "like", "it").code == 2

@@ -25,6 +25,7 @@ from unbend.report.html import report_page
 from .manifests import manifest_of
 from .test_every_number import (
     AIR,
+    AIR_AT_2000_M,
     CORRECTION,
     EFFECTS,
     LEDGER,
@@ -354,6 +355,7 @@ def test_every_sentence_between_the_tables(page):
     assert arrows in page.caption("Mean correction")
     counts = "4 of 7 exposures are shown. 2 of 4 footprints are shown."
     assert counts in page.caption("Map of the flight")
+    assert "5 exposures, ok" in page.text
     samples = "samples: temperature hygr[0], 1 of 3 used; pressure baro[0], 2 of 2 used"
     assert samples in page.text.lower()
 
@@ -510,18 +512,8 @@ def test_every_arrow_and_the_nadir_point(page, screen):
     assert abs(down) < 1.0
 
 
-AIR_AT_2000_M = [  # panel, this flight, its sigma, standard
-    ("temperature T [°C]", 3.85, 0.5, 2.0),
-    ("pressure p [hPa]", 840.0, 0.84, 853.25),
-    ("vapour pressure e [hPa]", 7.0, 0.6, -2.0),
-    ("refractivity N = (n − 1) 10⁶", 250.0, 1.4, 240.0),
-    ("N against us1962 [%]", 4.1667, 1.4 / 2.4, 0.0),
-]
-
-
 @both_screens
 def test_every_curve_of_the_air(page, screen):
-    """At 2000 m by hand: 290 - 13 - 273.15 °C; 1000 - 160 hPa; 9 - 2 hPa; 290 - 40 ppm."""
     panels = page.drawings["air", screen].findall(".//g")
     for panel, (label, ours, sigma, standard) in zip(panels, AIR_AT_2000_M, strict=True):
         assert texts_in(panel, class_="label")[0] == label

@@ -1,5 +1,6 @@
 """What several tests of the stages start from."""
 
+import pandas as pd
 import pytest
 import yaml
 
@@ -32,24 +33,28 @@ def by_log(mission_factory, tmp_path_factory):
     return mission
 
 
+@pytest.fixture(scope="session")
+def crossing_flight(tmp_path_factory):
+    """Three lines with tie points between them."""
+    options = SimulationOptions(
+        seed=9,
+        height_above_ground_m=2500.0,
+        lines=3,
+        exposures_per_line=5,
+        points_per_image=25,
+        image_noise_px=0.3,
+    )
+    return simulate(tmp_path_factory.mktemp("crossing"), options)
+
+
 @pytest.fixture(scope="module")
-def fly_crossing_lines():
-    """Simulates three lines with tie points between them in a folder.
-
-    Returns the flight and the sections of its mission.
-    """
-
-    def fly(folder):
-        options = SimulationOptions(
-            seed=9,
-            height_above_ground_m=2500.0,
-            lines=3,
-            exposures_per_line=5,
-            points_per_image=25,
-            image_noise_px=0.3,
-        )
-        flown = simulate(folder, options)
-        text = flown.missions["bin"].read_text()
-        return flown, yaml.safe_load(text)
-
-    return fly
+def crossing_lines(crossing_flight):
+    """The same without a log and windows: its folder, sections of its mission, true stations."""
+    file = crossing_flight.missions["bin"]
+    config = yaml.safe_load(file.read_text())
+    for section in ("log", "mount", "events"):
+        del config[section]
+    for camera in config["cameras"].values():
+        del camera["window"]
+    truth = pd.read_parquet(crossing_flight.truth / "stations.parquet")
+    return file.parent, config, truth

@@ -12,6 +12,7 @@ from unbend.flight.heights import HeightSystem
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations
 from unbend.messages import Ledger
+from unbend.refraction.window import Cabin
 from unbend.stages.cabin_air import with_cabin_air
 from unbend.stages.exposure_setup import exposures_of
 
@@ -19,6 +20,13 @@ SECONDS = np.arange(0.0, 10.0, 0.1)
 US1976 = standard_atmosphere("us1976")
 LEVEL = (0.0, 0.0, 0.0)
 AT_REST = Mount()
+WARM_HATCH = Cabin(
+    "opening",
+    warmer_k=10.0,
+    excess_pa=0.0,
+    sigma_pressure_pa=0.0,
+    sigma_temperature_k=5.0,
+)
 
 
 def attitude_channel(yaw, pitch, roll, *, name="ATT", seconds=SECONDS):

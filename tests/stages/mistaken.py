@@ -16,6 +16,7 @@ from tests.stages.block_files import PLACE
 from tests.stages.dataflash_records import records, value_of, write_value
 from tests.stages.flown_files import gps_time
 from tests.stages.oriented_tables import QUATERNION, attitudes, textbook_opk
+from tests.weather_texts import sounding_text
 from unbend.batch.runs import read_mission
 from unbend.flight.stations import station_columns
 from unbend.ingest import open_log
@@ -156,22 +157,17 @@ def write_trajectory(path, recipe):
 def write_sounding(path, recipe):
     """The air of the flight; with a recipe that of a year before, 12 K colder."""
     year = 2025
-    zero_k = 273.15
+    offset_k = 0.0
     if recipe:
         year = 2024
-        zero_k += 12.0
-    h_m = np.arange(400.0, 12001.0, 200.0)
-    temperature_k = 294.15 - 0.0065 * (h_m - 400.0)
-    exponent = 9.80665 * 0.0289644 / 8.31432 / 0.0065
-    pressure_hpa = 974.0 * (temperature_k / 294.15) ** exponent
-    rows = pd.DataFrame({"h_m": h_m})
-    rows["time_utc"] = f"{year}-06-12T09:00:00Z"
-    rows["pressure_hpa"] = pressure_hpa.round(2)
-    rows["temperature_c"] = (temperature_k - zero_k).round(2)
-    rows["dew_point_c"] = rows["temperature_c"] - 6.0
-    rows["latitude_deg"] = 47.4
-    rows["longitude_deg"] = 8.6
-    rows.to_csv(path, index=False)
+        offset_k = -12.0
+    text = sounding_text(
+        offset_k,
+        time_utc=f"{year}-06-12T09:00:00Z",
+        latitude_deg=47.4,
+        longitude_deg=8.6,
+    )
+    path.write_text(text)
 
 
 SHIFTS = {

@@ -2,16 +2,27 @@
 
 from dataclasses import replace
 
-from tests.helpers import refused
+from tests.helpers import refused, with_code
 from unbend import load_mission
 from unbend.batch.runs import read_mission
 from unbend.messages import Ledger
 from unbend.stages.flight_log import flight_log
 
 
+def read_folder(mission):
+    """The mission as its folder has it now."""
+    return read_mission(mission.save())
+
+
+def message_of(prepared, code):
+    """The only message with this code."""
+    (message,) = with_code(prepared.ledger, code)
+    return message
+
+
 def opened(mission):
     """The inputs of a mission folder."""
-    return read_mission(mission.save()).inputs
+    return read_folder(mission).inputs
 
 
 def channel_of(inputs, name):
@@ -39,5 +50,5 @@ def flight_of(mission, inputs):
 def refusal_to_read(mission, code):
     """What reading the mission is refused with."""
     with refused(code) as caught:
-        read_mission(mission.save())
+        read_folder(mission)
     return str(caught.value)

@@ -7,21 +7,20 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyproj
 import pytest
 import yaml
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from tests.helpers import refused, with_code
-from tests.stages.block_files import matrices
-from tests.stages.flown_files import gps_time
+from tests.stages.eo_texts import write_eo
 from tests.stages.flown_images import CAMERA_FROM_BODY, NED_FROM_ENU
 from tests.stages.oriented_tables import attitudes, textbook_opk
 from unbend.batch.runs import read_mission
+from unbend.flight.stations import station_columns
 
-PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
+PLACE_DEG = ["lat_deg", "lon_deg"]
 CAMERA_FROM_GIMBAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-ZONE = 32  # of UTM, in which the flight is
 
 
 class Crossing(NamedTuple):
@@ -52,13 +51,15 @@ class Crossing(NamedTuple):
         return refusal.value.what
 
     def assert_true(self, sections, tolerance_deg=1e-4):
-        """The attitudes of the stations are those of the truth."""
-        stations = self.read(sections).stations
-        quaternions = pd.DataFrame(stations.quaternion, index=stations.image)
-        of_truth = quaternions.loc[self.truth["image"]]
-        difference = matrices(of_truth) @ self.enu_from_camera
+        """Places and attitudes of the stations are those of the truth."""
+        columns = station_columns(self.read(sections).stations)
+        stations = pd.DataFrame(columns).set_index("image")
+        stations = stations.loc[self.truth["image"]]
+        difference = attitudes(stations) @ self.enu_from_camera
         turned_rad = Rotation.from_matrix(difference).magnitude()
         assert np.degrees(turned_rad).max() < tolerance_deg
+        assert_allclose(stations[PLACE_DEG], self.truth[PLACE_DEG], atol=1e-7)
+        assert_allclose(stations["h_msl_m"], self.truth["h_msl_m"], atol=0.01)
 
 
 def angles(rotations, axes):
@@ -67,17 +68,12 @@ def angles(rotations, axes):
 
 
 @pytest.fixture(scope="module")
-def crossing(tmp_path_factory, fly_crossing_lines):
-    folder = tmp_path_factory.mktemp("roads")
-    flown, config = fly_crossing_lines(folder)
-    del config["log"]
-    camera = config["cameras"]["oblique"]
-    del camera["window"]
-    config["cameras"] = {"c": camera}
-    config["mount"] = {"c": {}}
-    truth = pd.read_parquet(flown.truth / "stations.parquet")
+def crossing(crossing_lines):
+    folder, config, truth = crossing_lines
+    cameras = {"c": config["cameras"]["oblique"]}
+    of_one_camera = config | {"cameras": cameras, "mount": {"c": {}}}
     of_camera = truth.query("camera == 'oblique'").reset_index(drop=True)
-    return Crossing(folder, config, of_camera)
+    return Crossing(folder, of_one_camera, of_camera)
 
 
 # --- exterior orientations of POSPac ----------------------------------------------------------
@@ -93,42 +89,14 @@ PHI_FIRST = ORDER.format("y", "phi", "x", "omega")
 
 def with_eo(crossing, axes, head, turn_deg=0.0):
     """An exterior orientation with angles about ``axes`` of the grid, kappa turned further."""
-    truth = crossing.truth
-    lon, lat = truth[["lon_deg", "lat_deg"]].to_numpy().T
-    utm = pyproj.Proj(f"EPSG:{32600 + ZONE}")
-    east, north = utm(lon, lat)
-    convergence = utm.get_factors(lon, lat).meridian_convergence[:, None]
-    grid_from_enu = Rotation.from_euler("z", convergence, degrees=True).as_matrix()
-    grid_from_image = grid_from_enu @ crossing.enu_from_camera @ PHOTOGRAMMETRIC
-    first, second, kappa = angles(grid_from_image, axes)
-    angle = {axes[0]: first, axes[1]: second}
-    week, seconds = gps_time(crossing.time)
-    table = pd.DataFrame(
-        {
-            "ID": truth["image"],
-            "EVENT": np.arange(len(truth)) + 1,
-            "TIME (s)": seconds,
-            "EASTING": east,
-            "NORTHING": north,
-            "ORTHOMETRIC HEIGHT": truth["h_msl_m"],
-            "OMEGA": angle["X"],
-            "PHI": angle["Y"],
-            "KAPPA": kappa + turn_deg,
-            "LAT": lat,
-            "LONG": lon,
-        }
+    source = write_eo(
+        crossing.folder / "eo.txt",
+        crossing.truth,
+        axes=axes,
+        head=head,
+        turn_deg=turn_deg,
     )
-    text = f"{head}Grid: Zone: UTM North {ZONE}; lat, long in Deg; orientation in Degrees ;\n\n"
-    text += " ".join(table.columns) + "\n"
-    text += table.to_csv(sep=" ", header=False, index=False, float_format="%.9f")
-    (crossing.folder / "eo.txt").write_text(text)
-    source = {
-        "path": "eo.txt",
-        "format": "eo",
-        "image": "{name}",
-        "point": "camera",
-        "time": {"system": "gpst", "week": int(week[0])},
-    }
+    source |= {"format": "eo", "point": "camera"}
     return {"events": {"positions": {"c": source}}}
 
 
@@ -211,7 +179,7 @@ def with_tags(crossing, yaw_sign):
     yaw, pitch, roll = angles(gimbal, "ZYX")
     table = pd.DataFrame(
         {
-            "SourceFile": truth["image"],
+            "FileName": truth["image"],
             "GPSLatitude": truth["lat_deg"],
             "GPSLongitude": truth["lon_deg"],
             "AbsoluteAltitude": truth["h_msl_m"],

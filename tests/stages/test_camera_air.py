@@ -15,7 +15,8 @@ from scipy.integrate import quad
 from tests.conftest import without_plots
 from tests.helpers import codes_of, entry_of
 from tests.report.manifests import manifest_of
-from tests.stages.level_cameras import US1976, look, stations
+from tests.stages.corrected_rows import rows_of_camera
+from tests.stages.level_cameras import US1976, WARM_HATCH, look, stations
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.messages import Ledger
@@ -93,11 +94,6 @@ def test_the_air_of_the_calibration_changes_nothing_whatever_it_was(air):
     assert change_px == approx(-12e-3 * expected_ppm(air), rel=1e-3)
 
 
-def test_a_lens_in_unknown_air_is_no_number():
-    change_px = lens_change(LENS, math.nan, 280.0, IndexModel())
-    assert math.isnan(change_px)
-
-
 def test_the_lens_in_the_light_of_its_camera():
     blue = IndexModel(wavelength_m=0.45e-6)
     change_px = float(LENS.change_px(*AT_6_KM, blue))
@@ -106,34 +102,12 @@ def test_the_lens_in_the_light_of_its_camera():
 
 
 CONSTANT = Cabin("constant", *IN_CABIN)
-WARM_HATCH = Cabin(
-    "opening",
-    warmer_k=10.0,
-    excess_pa=0.0,
-    sigma_pressure_pa=0.0,
-    sigma_temperature_k=5.0,
-)
 SUCKED_HATCH = replace(
     WARM_HATCH,
     warmer_k=0.0,
     excess_pa=-700.0,
     sigma_temperature_k=0.0,
 )
-
-
-@pytest.mark.parametrize(
-    ("window", "air"),
-    [
-        (None, AT_6_KM),
-        (Window(CONSTANT), IN_CABIN),
-        (Window(WARM_HATCH), warmer(AT_6_KM)),
-    ],
-    ids=["free", "cabin", "opening"],
-)
-def test_the_lens_is_in_the_air_before_it(window, air):
-    exposures, _ = look(stations(6000.0), window, LENS)
-    ppm = exposures.principal_change_px[0] / F_PX * 1e6
-    assert ppm == approx(expected_ppm(air), abs=0.2)
 
 
 def errors_behind(windows):
@@ -289,16 +263,10 @@ def outside(runs):
     return tuple(table[["pressure_pa", "temperature_k"]].median())
 
 
-def nadir_rows(mission):
-    """The corrected observations of the nadir camera."""
-    table = mission.results().to_pandas()
-    return table[table["image"].str.startswith("nadir")]
-
-
 def test_the_air_of_the_calibration_is_enough_to_remove_the_air_in_the_lens(runs, outside):
     """A shorter principal distance has moved points inwards; the correction moves them out."""
-    bare = nadir_rows(runs["bare"])
-    corrected = nadir_rows(runs["stated"])
+    bare = rows_of_camera(runs["bare"], "nadir")
+    corrected = rows_of_camera(runs["stated"], "nadir")
     change = expected_ppm(outside) * 1e-6
     assert -150e-6 < change < -90e-6
     moved_px = corrected["x_corrected_px"] - bare["x_corrected_px"]
@@ -346,8 +314,8 @@ def test_every_run_says_what_a_kelvin_before_the_lens_does(runs):
 
 def test_an_opening_moves_the_points_and_half_of_it_is_its_sigma(runs, outside):
     """n f (1 + tan^2) across: the warm air has moved a point outwards, the correction inwards."""
-    bare = nadir_rows(runs["bare"])
-    hatch = nadir_rows(runs["hatch"])
+    bare = rows_of_camera(runs["bare"], "nadir")
+    hatch = rows_of_camera(runs["hatch"], "nadir")
     dn = change_of_n(outside, warmer(outside))
     u = (hatch["x_px"] - 7012.4) / F_PX
     v = (hatch["y_px"] - 5291.7) / F_PX

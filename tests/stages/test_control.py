@@ -270,72 +270,41 @@ CAUSES = {
 }
 
 
-def assert_said(codes, messages):
-    """Just these messages, with their causes."""
+SCATTER_M = [0.0, 0.1, -0.1, 0.1]
+USUAL = [*SCATTER_M, 0.85]
+
+
+@pytest.mark.parametrize(
+    ("up_m", "effect_m", "beside", "codes"),
+    [
+        # All miss: farther than 1 m, and three times the effect.
+        ([0.99] * 5, -0.3, {}, ["CONTROL-WORSE"]),
+        ([1.01] * 5, -0.3, {}, ["CONTROL-FAR"]),
+        ([1.01] * 5, 0.34, {}, []),
+        # Squares of the misses grow by more than a quarter of that of the effect.
+        ([0.63] * 5, -1.0, {}, ["CONTROL-WORSE"]),
+        ([0.62] * 5, -1.0, {}, []),
+        # Less than five sigmas.
+        ([1.01] * 5, 0.3, {"sigma_m": 0.21}, []),
+        # Another reading leaves less than a fifth, or more.
+        ([2.0] * 5, 0.3, {"reading_m": 0.39}, ["CONTROL-READING"]),
+        ([2.0] * 5, 0.3, {"reading_m": 0.41}, ["CONTROL-FAR"]),
+        # One of five is five times as far as usual, within its stated sigma or not; one of four.
+        (USUAL, 2.0, {}, ["CONTROL-OUTLIER"]),
+        ([*SCATTER_M, 0.83], 2.0, {}, []),
+        (USUAL, 2.0, {"sigma_m": 0.2, "sigma_stated": True}, []),
+        (USUAL[1:], 2.0, {}, []),
+        # Sigmas that are stated hide the effect.
+        ([0.0] * 5, 0.3, {"sigma_m": 0.31, "sigma_stated": True}, ["CONTROL-NOISE"]),
+        ([0.0] * 5, 0.3, {"sigma_m": 0.29, "sigma_stated": True}, []),
+        ([0.0] * 5, 0.3, {"sigma_m": 0.31}, []),
+    ],
+)
+def test_what_is_said_of_misses(up_m, effect_m, beside, codes):
+    messages = judged(up_m, effect_m, **beside)
     assert [message.code for message in messages] == codes
     for message in messages:
         assert CAUSES.get(message.code, "") in message.what
-
-
-@pytest.mark.parametrize(
-    ("miss_m", "effect_m", "codes"),
-    [
-        # Farther than 1 m, and three times the effect.
-        (0.99, -0.3, ["CONTROL-WORSE"]),
-        (1.01, -0.3, ["CONTROL-FAR"]),
-        (1.01, 0.34, []),
-        # Squares of the misses grow by more than a quarter of that of the effect.
-        (0.63, -1.0, ["CONTROL-WORSE"]),
-        (0.62, -1.0, []),
-    ],
-)
-def test_all_points_miss(miss_m, effect_m, codes):
-    assert_said(codes, judged([miss_m] * 5, effect_m))
-
-
-def test_misses_of_less_than_five_sigmas():
-    assert_said([], judged([1.01] * 5, 0.3, sigma_m=0.21))
-
-
-@pytest.mark.parametrize(
-    ("reading_m", "code"),
-    [(0.39, "CONTROL-READING"), (0.41, "CONTROL-FAR")],
-)
-def test_another_reading_leaves_less_than_a_fifth(reading_m, code):
-    assert_said([code], judged([2.0] * 5, 0.3, reading_m=reading_m))
-
-
-USUAL_M = [0.0, 0.1, -0.1, 0.1]
-
-
-@pytest.mark.parametrize(
-    ("up_m", "codes"),
-    [
-        ([*USUAL_M, 0.85], ["CONTROL-OUTLIER"]),
-        ([*USUAL_M, 0.83], []),
-        ([0.0, 0.1, -0.1, 0.85], []),
-    ],
-)
-def test_one_of_five_points_is_five_times_as_far_as_usual(up_m, codes):
-    assert_said(codes, judged(up_m, 2.0))
-
-
-def test_one_point_is_far_but_within_its_stated_sigma():
-    up_m = [*USUAL_M, 0.85]
-    assert_said([], judged(up_m, 2.0, sigma_m=0.2, sigma_stated=True))
-
-
-@pytest.mark.parametrize(
-    ("sigma_m", "is_stated", "codes"),
-    [
-        (0.31, True, ["CONTROL-NOISE"]),
-        (0.29, True, []),
-        (0.31, False, []),
-    ],
-)
-def test_sigmas_that_are_stated_hide_the_effect(sigma_m, is_stated, codes):
-    messages = judged([0.0] * 5, 0.3, sigma_m=sigma_m, sigma_stated=is_stated)
-    assert_said(codes, messages)
 
 
 def test_outliers_are_named():
@@ -418,11 +387,6 @@ def test_control_in_single_images_cannot_be_intersected(surveyed, table):
     survey(surveyed, table.assign(point="c" + table["point"]))
     assert control_entry(surveyed, 3)["code"] == "CONTROL-RAYS"
     assert surveyed.manifest()["control"] is None
-
-
-def test_a_system_needs_columns_and_a_reference(surveyed):
-    surveyed.config["control"] = {"path": "control.csv", "crs": "EPSG:4326"}
-    surveyed.refusal("together", 2)
 
 
 def test_a_table_without_the_usual_columns_names_the_key(surveyed, table):

@@ -1,4 +1,7 @@
-"""Counts, sigmas and ground heights that the manifest has of all observations, by hand."""
+"""Counts, sigmas and ground heights that the manifest has of all observations, by hand.
+
+What is said of them stands in `test_ground_and_statistics`.
+"""
 
 import math
 from types import SimpleNamespace
@@ -7,7 +10,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from unbend.messages import Kind, Ledger
 from unbend.refraction.image import COLUMNS, Corrections
 from unbend.refraction.status_codes import OK, STATUS_NAMES
 from unbend.stages.statistics import SampledRows, Statistics
@@ -108,15 +110,23 @@ def test_variances_of_the_air_are_sums_of_squares_in_both_axes(statistics):
 
 def test_later_parts_are_added(statistics):
     later = two_cameras()
-    add(statistics, [OK, NO_GROUND], [0, 0], no_point=1)
-    add(later, [NO_GROUND] * 3, [1, 1, 1])
+    add(statistics, [OK, NO_GROUND], [0, 0], no_distance=1, no_sigma=1, no_point=1)
+    add(later, [NO_GROUND] * 3, [1, 1, 1], no_distance=1, no_sigma=2)
     statistics.ground_m = (120.0, 300.0)
+    statistics.air_variance = 0.25
+    statistics.by_mode = 2.0
     later.ground_m = (100.0, 250.0)
+    later.air_variance = 0.5
+    later.by_mode = 1.0
     later.implausible_heights = 2
     statistics.merge(later)
     assert statistics.parts == 2
     assert statistics.rows == 5
+    assert statistics.no_distance == 2
+    assert statistics.no_sigma == 3
     assert statistics.no_point == 1
+    assert statistics.air_variance == 0.75
+    assert statistics.by_mode == 3.0
     assert statistics.implausible_heights == 2
     assert statistics.ground_m == (100.0, 300.0)
     assert statistics.status["ok"] == 1
@@ -203,30 +213,3 @@ def test_ground_heights_in_bins_of_a_round_width(statistics):
     medians = statistics.ground_of_stations(5)
     expected = [107.45, 222.55, NAN, 200.0, NAN]
     np.testing.assert_allclose(medians, expected)
-
-
-def test_rows_without_a_correction_are_reported_with_their_number_and_cause(statistics):
-    statistics.rows = 200
-    statistics.no_distance = 3
-    statistics.no_sigma = 4
-    statistics.no_point = 5
-    statistics.implausible_heights = 6
-    statistics.status = {"ok": 150, "no_ground": 40, "far_branch": 0}
-    statistics.examples = {"no_ground": ["i1 p1"]}
-    ledger = Ledger()
-    statistics.report_flagged(ledger, {"no_ground": "the model ends there"})
-    *losses, flagged = ledger
-    assert [(loss.where, loss.count) for loss in losses] == [
-        ("observations.columns.distance_m", 3),
-        ("ground.sigma_column", 4),
-        ("ground.height.points", 5),
-        ("ground.height", 6),
-    ]
-    assert flagged.count == 40
-    assert flagged.kind is Kind.LOSS
-    for words in ("200", "no_ground", "the model ends there", "first i1 p1"):
-        assert words in flagged.what
-    explained = Ledger()
-    statistics.report_flagged(explained, {}, explained={"no_ground"})
-    *_, flagged = explained
-    assert flagged.kind is Kind.NOTE

@@ -2,52 +2,23 @@
 
 import json
 import sys
-from functools import cache
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyproj
 import pytest
 import rasterio
 from numpy.testing import assert_allclose
 from rasterio import Affine
 
 from tests.helpers import codes_of, entry_of
+from tests.stages.terrain_models import CELLS, terrain_grid
+from tests.tables.geodata.rasters import write_raster
 from unbend.batch.runs import check_mission
-from unbend.simulate.flight import FIELD_LAT_RAD, FIELD_LON_RAD, geographic, terrain_m
 
-CELLS = 800
 STEP_M = 20.0
 WIDE_STEP_M = 80.0  # of a model in which the field lies as well
 HOLE = -32768.0
-
-
-def terrain_at(lat_deg, lon_deg):
-    """The simulator's terrain at places, by its own linear map."""
-    lat_1, lon_1 = geographic(np.array(1.0), np.array(1.0))
-    rad_per_m_north = float(lat_1) - FIELD_LAT_RAD
-    rad_per_m_east = float(lon_1) - FIELD_LON_RAD
-    north = (np.radians(lat_deg) - FIELD_LAT_RAD) / rad_per_m_north
-    east = (np.radians(lon_deg) - FIELD_LON_RAD) / rad_per_m_east
-    return terrain_m(east, north)
-
-
-@cache
-def terrain_grid(crs, lon_deg, lat_deg, step_m):
-    """The terrain about a place in the cells of a coordinate system, and where these are."""
-    to_grid = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
-    step = step_m
-    if pyproj.CRS(crs).is_geographic:
-        step /= 111_000.0
-    half = CELLS / 2 * step
-    x, y = to_grid.transform(lon_deg, lat_deg)
-    west = x - half
-    north = y + half
-    centres = (np.arange(CELLS) + 0.5) * step
-    places = np.meshgrid(west + centres, north - centres)
-    lon, lat = to_grid.transform(*places, direction="INVERSE")
-    return terrain_at(lat, lon), Affine(step, 0.0, west, 0.0, -step, north)
 
 
 def moved(cells, columns):
@@ -69,23 +40,14 @@ def modelled(mission, flown):
         columns=slice(0, CELLS),
         name="dem.tif",
         step_m=STEP_M,
+        dtype="float32",
         **changed,
     ):
         terrain, transform = terrain_grid(grid, *middle, step_m)
-        values = change(terrain)[:, columns]
-        height, width = values.shape
-        profile = {
-            "driver": "GTiff",
-            "count": 1,
-            "height": height,
-            "width": width,
-            "dtype": "float32",
-            "crs": grid,
-            "transform": moved(transform, columns.start),
-            "tiled": True,
-        } | changed
-        with rasterio.open(mission.folder / name, "w", **profile) as out:
-            out.write(values.astype(profile["dtype"]), 1)
+        values = change(terrain)[:, columns].astype(dtype)
+        options = {"crs": grid, "tiled": True} | changed
+        cells = moved(transform, columns.start)
+        write_raster(mission.folder / name, values, cells, **options)
         mission.config["ground"] = {"height": {"dem": name}, "reference": "msl"}
 
     return write
@@ -390,9 +352,3 @@ def test_ideal_observations_are_displaced_by_the_same_ground(mission, modelled, 
     assert is_ok.mean() > 0.9
     # The straight line ends some decimetres beside the bent one.
     assert_heights(mission, by_points, 1.0)
-
-
-def test_heights_relative_to_home_are_refused(mission, modelled):
-    modelled()
-    mission.config["ground"]["reference"] = "relative"
-    mission.refusal("heights of a dem", 2)

@@ -112,46 +112,36 @@ def test_the_sigma_of_a_column_goes_before_that_of_all():
 
 
 CAMERA = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0)
+CAUSES = {"no_ground": "the model ends there"}
 
 
-def counted(**counts):
-    return replace(Statistics.of({"nadir": CAMERA}), **counts)
-
-
-def test_the_counts_of_two_parts_are_added():
-    total = counted(no_distance=1, no_sigma=2, air_variance=0.25, by_mode=2.0)
-    later = counted(no_distance=10, no_sigma=20, air_variance=0.5, by_mode=1.0)
-    total.merge(later)
-    assert total.no_distance == 11
-    assert total.no_sigma == 22
-    assert total.air_variance == 0.75
-    assert total.by_mode == 3.0
-
-
-def reported(rows, **counts):
-    """What is said of 50 good observations and some others."""
+def reported(explained=(), **counts):
+    """What is said of 50 good observations of 54 and of some others."""
     status = dict.fromkeys(STATUS_NAMES, 0) | {"ok": 50}
     for name in counts.keys() & status:
         status[name] = counts.pop(name)
-    statistics = counted(rows=rows, status=status, **counts)
+    none = Statistics.of({"nadir": CAMERA})
+    statistics = replace(none, rows=54, status=status, **counts)
     ledger = Ledger()
-    statistics.report_flagged(ledger, {})
+    statistics.report_flagged(ledger, CAUSES, explained=explained)
     return list(ledger)
 
 
 @pytest.mark.parametrize(
-    ("count", "code", "kind"),
+    ("count", "code", "kind", "where"),
     [
-        ("no_distance", "OBS-DISTANCE", Kind.WARNING),
-        ("no_sigma", "OBS-SIGMA", Kind.WARNING),
-        ("implausible_heights", "OBS-GROUND-RANGE", Kind.LOSS),
+        ("no_distance", "OBS-DISTANCE", Kind.WARNING, "observations.columns.distance_m"),
+        ("no_sigma", "OBS-SIGMA", Kind.WARNING, "ground.sigma_column"),
+        ("no_point", "POINTS-MISSING", Kind.LOSS, "ground.height.points"),
+        ("implausible_heights", "OBS-GROUND-RANGE", Kind.LOSS, "ground.height"),
     ],
 )
-def test_each_missing_value_has_its_entry_with_its_kind_and_count(count, code, kind):
-    (message,) = reported(rows=54, **{count: 4})
+def test_each_missing_value_has_its_entry(count, code, kind, where):
+    (message,) = reported(**{count: 4})
     assert message.code == code
     assert message.kind is kind
     assert message.count == 4
+    assert message.where == where
 
 
 @pytest.mark.parametrize(
@@ -164,15 +154,23 @@ def test_each_missing_value_has_its_entry_with_its_kind_and_count(count, code, k
     ],
 )
 def test_each_status_has_its_entry_with_its_kind_and_count(status, code, kind):
-    (message,) = reported(rows=54, **{status: 4})
+    (message,) = reported(**{status: 4})
     assert message.code == code
     assert message.kind is kind
     assert message.count == 4
     assert message.what.startswith(f"4 of 54 observations are {status}")
 
 
+def test_flagged_rows_are_told_with_cause_and_example_and_may_follow_from_another_loss():
+    (flagged,) = reported(no_ground=4, examples={"no_ground": ["i1 p1"]})
+    assert "the model ends there" in flagged.what
+    assert "first i1 p1" in flagged.what
+    (explained,) = reported(no_ground=4, explained={"no_ground"})
+    assert explained.kind is Kind.NOTE
+
+
 def test_nothing_is_said_of_good_observations():
-    assert not reported(rows=50)
+    assert not reported()
 
 
 @given(st.integers(1, 2000), st.integers(1, 500))

@@ -15,6 +15,7 @@ from pymavlink.DFReader import DFReader_binary
 
 from tests.helpers import refused, with_code
 from tests.stages.flown_images import CAMERA, tie_points, truth_of
+from tests.stages.other_logs import message_of, read_folder
 from tests.stages.written_surveys import SHUTTER_LAG_US, write_surveys
 from unbend.batch.runs import read_mission
 from unbend.flight.stations import station_columns
@@ -129,11 +130,6 @@ def one_camera(image, channel="CAM[0]", **sections):
     """Events of one camera, whose images are called so."""
     source = {"channel": channel, "image": image}
     return {"log": {"cam": source}} | sections
-
-
-def message_of(prepared, code):
-    (message,) = with_code(prepared.ledger, code)
-    return message
 
 
 def assert_placed(prepared, truth, names):
@@ -327,11 +323,6 @@ def test_files_of_other_images_or_of_one_twice_are_refused(read_with_files):
         read_with_files(["a/" + name, "b/" + name])
 
 
-def test_a_pattern_of_no_image_is_refused(flight):
-    with refused("IMAGES-OTHER"):
-        flight.read(scattered(NAMES), one_camera("DSC_*"))
-
-
 # ---- two cameras
 
 
@@ -426,33 +417,23 @@ DJI = ("DJI_20260501_0009_V.JPG", "DJI_20260501_0010_V.JPG")
 
 
 @pytest.mark.parametrize(
-    ("pattern", "numbering"),
+    ("pattern", "observed", "names", "numbers", "numbering"),
     [
-        ("DJI_*_{n:04d}_V.JPG", "counted"),
-        ("DJI*", "sequence"),
+        ("DJI_*_{n:04d}_V.JPG", (*DJI, "other.tif"), DJI, [9, 10], "counted"),
+        ("DJI*", (*DJI, "other.tif"), DJI, [9, 10], "sequence"),
+        ("*", ("a9", "a10", "a1"), ("a1", "a9", "a10"), [1, 9, 10], "sequence"),
+        ("*", ("a", "b"), ("a", "b"), [0, 1], "sequence"),
+        ("{n}_{index:05d}.tif", ("7_00012.tif", "8_00013.TIF"), ("7_00012.tif",), [12], "index"),
     ],
+    ids=["counted", "in sequence", "any", "without numbers", "of the log"],
 )
-def test_names_of_a_pattern_have_numbers(pattern, numbering):
-    images = images_of_camera(pattern, (*DJI, "other.tif"), None)
-    assert images.name.tolist() == list(DJI)
-    assert images.number.tolist() == [9, 10]
+def test_images_of_a_pattern_are_in_the_order_of_their_numbers(
+    pattern, observed, names, numbers, numbering
+):
+    images = images_of_camera(pattern, observed, None)
+    assert images.name.tolist() == list(names)
+    assert images.number.tolist() == numbers
     assert images.numbering == numbering
-
-
-def test_names_are_in_the_order_of_their_numbers():
-    images = images_of_camera("*", ("a9", "a10", "a1"), None)
-    assert images.name.tolist() == ["a1", "a9", "a10"]
-
-
-def test_names_without_numbers_are_counted():
-    images = images_of_camera("*", ("a", "b"), None)
-    assert images.number.tolist() == [0, 1]
-
-
-def test_the_number_of_the_log_is_that_of_index():
-    images = images_of_camera("{n}_{index:05d}.tif", ("7_00012.tif", "8_00013.TIF"), None)
-    assert images.name.tolist() == ["7_00012.tif"]
-    assert images.number.tolist() == [12]
 
 
 @pytest.mark.parametrize(
@@ -467,6 +448,6 @@ def test_commands_of_a_trigger_beside_its_pulses_need_a_delay(mission, delay, ki
     nadir = mission.config["events"]["log"]["nadir"]
     nadir["channel"] = "TRIG[0]"
     nadir.update(delay)
-    prepared = read_mission(mission.save())
+    prepared = read_folder(mission)
     messages = with_code(prepared.ledger, "EVENTS-NOT-SHUTTER")
     assert [message.kind for message in messages] == kinds

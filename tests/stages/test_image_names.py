@@ -3,8 +3,7 @@
 import pyarrow as pa
 
 from tests.helpers import with_code
-from tests.stages.other_logs import refusal_to_read
-from unbend.batch.runs import read_mission
+from tests.stages.other_logs import read_folder, refusal_to_read
 
 
 def rename(mission, new_name):
@@ -20,7 +19,7 @@ def in_a_folder(name):
 
 
 def test_other_names_are_refused_with_the_proposal_and_taken_when_stated(mission):
-    plain = read_mission(mission.save()).stations
+    plain = read_folder(mission).stations
     rename(mission, in_a_folder)
     text = refusal_to_read(mission, "IMAGES-OTHER")
     assert "[case, extension, folder, digits]" in text
@@ -31,7 +30,7 @@ def test_other_names_are_refused_with_the_proposal_and_taken_when_stated(mission
         "folder",
         "digits",
     ]
-    prepared = read_mission(mission.save())
+    prepared = read_folder(mission)
     assert prepared.stations.ok.all()
     assert prepared.stations.time_ns.tolist() == plain.time_ns.tolist()
     assert sorted(prepared.stations.image) == list(prepared.observations.images)
@@ -41,7 +40,7 @@ def test_other_names_are_refused_with_the_proposal_and_taken_when_stated(mission
 def test_one_name_in_another_case_is_a_loss_that_says_so(mission):
     first = mission.measurements()["image"][0].as_py()
     rename(mission, lambda name: name.replace(first, first.upper()))
-    ledger = read_mission(mission.save()).ledger
+    ledger = read_folder(mission).ledger
     (unmatched,) = with_code(ledger, "IMAGES-UNMATCHED")
     assert unmatched.count == 1
     assert "match_names: [case]" in unmatched.what

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from unbend.batch.runs import read_mission
+from tests.stages.other_logs import read_folder
 
 DRY_M = np.array([16_000.0, 18_000.0, 20_000.0])
 
@@ -27,5 +27,15 @@ def test_the_index_has_the_light_and_the_carbon_dioxide_of_the_mission(mission, 
     assert ratio == pytest.approx(factor, rel=3e-5)
 
 
+def test_the_index_is_that_of_its_name(mission):
+    """Gyer 1996, Eq. 13, of dry air."""
+    atmosphere = mission.config.setdefault("atmosphere", {})
+    atmosphere["index"] = "gyer"
+    profile = profile_of(mission)
+    pressure_hpa = profile.pressure(DRY_M) / 100.0
+    expected = 78.831e-6 * pressure_hpa / profile.temperature(DRY_M)
+    assert profile.refractivity(DRY_M) == pytest.approx(expected, rel=3e-5)
+
+
 def profile_of(mission):
-    return read_mission(mission.save()).air.adjustment.profile
+    return read_folder(mission).air.adjustment.profile

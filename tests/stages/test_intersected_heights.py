@@ -10,34 +10,19 @@ from tests.conftest import MissionFolder
 from tests.helpers import entry_of, refused
 from unbend.batch import runs
 from unbend.batch.runs import check_mission
-from unbend.simulate import SimulationOptions, simulate
 from unbend.stages.multi_image import point_heights
 
 
-@pytest.fixture(scope="module")
-def lines(tmp_path_factory):
-    """Three lines whose cameras and stations have noise, as a log and a table of rays."""
-    options = SimulationOptions(
-        seed=4,
-        height_above_ground_m=2500.0,
-        lines=3,
-        exposures_per_line=5,
-        points_per_image=20,
-        image_noise_px=0.3,
-    )
-    return simulate(tmp_path_factory.mktemp("lines"), options)
+@pytest.fixture
+def truth(crossing_flight):
+    return pd.read_parquet(crossing_flight.observations)
 
 
 @pytest.fixture
-def truth(lines):
-    return pd.read_parquet(lines.observations)
-
-
-@pytest.fixture
-def intersected(lines, tmp_path):
+def intersected(crossing_flight, tmp_path):
     """The mission with heights by intersection; a test gives it its table of rays."""
-    log = lines.logs["bin"]
-    text = lines.missions["bin"].read_text()
+    log = crossing_flight.logs["bin"]
+    text = crossing_flight.missions["bin"].read_text()
     config = yaml.safe_load(text)
     config["ground"] = {"height": "intersected"}
     config["log"]["path"] = str(log)
@@ -58,7 +43,7 @@ def results_of(mission, table):
     return mission.result_rows()
 
 
-def test_heights_are_those_of_the_terrain(intersected, lines, truth):
+def test_heights_are_those_of_the_terrain(intersected, crossing_flight, truth):
     exit_code = with_rays(intersected, truth).run().code
     results = intersected.result_rows()
     has_height = results["h_g_m"].notna()
@@ -74,7 +59,7 @@ def test_heights_are_those_of_the_terrain(intersected, lines, truth):
     assert entry["kind"] == "note"
     assert results["sigma_ground_dx_px"][has_height].notna().all()
     # Refraction goes with the height above ground: wrong by what the heights are wrong.
-    true = pd.read_parquet(lines.truth / "observations.parquet")
+    true = pd.read_parquet(crossing_flight.truth / "observations.parquet")
     error = results["r_c_rad"] / true["r_c_rad"] - 1.0
     assert error[has_height].abs().median() < 0.01
 
@@ -111,7 +96,12 @@ def test_a_rehearsal_has_the_heights_of_a_run_for_the_rows_it_draws(
     assert drawn["point"].nunique() > 20
     heights_m = corrected.facts.rows.h_g_m
     # One unit in the last place of geocentric coordinates is 9e-10 m.
-    assert_allclose(heights_m, drawn["h_g_m"], rtol=0.0, atol=1e-8)
+    assert_allclose(
+        heights_m,
+        drawn["h_g_m"],
+        rtol=0.0,
+        atol=1e-8,
+    )
 
 
 def test_points_of_one_image_have_no_height(intersected, truth):

@@ -2,7 +2,6 @@
 
 import warnings
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -14,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import unbend
 from tests.helpers import codes_of, entry_of, refused
 from tests.stages.block_files import CABIN
+from tests.stages.corrected_rows import pressure_alone
 from tests.stages.flown_images import NED_FROM_ENU
 from tests.stages.oriented_tables import (
     OPK,
@@ -24,7 +24,6 @@ from tests.stages.oriented_tables import (
     columns_of,
 )
 from unbend import correct, standard_atmosphere
-from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.batch.results import read_manifest
 from unbend.batch.runs import plan_of
@@ -87,10 +86,6 @@ def as_flown(baseline, measured, profile):
         return correct(observations, baseline.stations(), profile, cameras, mount=mount)
 
     return run
-
-
-def test_it_is_among_the_main_names():
-    assert "correct" in unbend.__all__
 
 
 def test_from_the_tables_of_a_run(as_flown, baseline):
@@ -310,11 +305,7 @@ def test_a_profile_without_a_covariance(simple):
 
 
 def test_a_profile_with_a_covariance_and_a_series_of_it(simple, opk):
-    size = US1976.layers.edge.size
-    variance = np.zeros(2 * size + 1)
-    variance[size] = 0.004**2
-    covariance = ProfileCovariance(US1976, 1000.0, np.diag(variance))
-    timed = TimedProfile(None, US1976, covariance)
+    timed = TimedProfile(None, US1976, pressure_alone(US1976, 0.004))
 
     result = simple(profile=timed)
     series = simple(profile=constant_series(timed, len(opk)))
@@ -424,10 +415,6 @@ def test_profiles_of_other_stations(simple, profile):
         simple(profile=pa.concat_tables([profile, other]))
 
 
-def reversed_rows(frame):
-    return frame[::-1]
-
-
 def names_of_rows(frame):
     return frame.set_index("row " + frame.index.astype(str))
 
@@ -437,7 +424,7 @@ def rows_of_two_levels(frame):
     return frame.set_index([strip.rename("strip"), number.rename("number")])
 
 
-@pytest.mark.parametrize("change", [reversed_rows, names_of_rows, rows_of_two_levels])
+@pytest.mark.parametrize("change", [names_of_rows, rows_of_two_levels])
 def test_a_frame_comes_back_with_its_index(simple, frame, change):
     """After the everyday filter, a column of the result stands beside the filtered frame."""
     filtered = frame[frame["x_px"] > frame["x_px"].median()]

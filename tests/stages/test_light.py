@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 
 from tests.helpers import entry_of, refused
+from tests.stages.corrected_rows import rows_of_camera
 from unbend import correct, standard_atmosphere
 
 RED_M = 0.65e-6
@@ -47,18 +48,12 @@ def in_all_air(mission, key, value):
     mission.config.setdefault("atmosphere", {})[key] = value
 
 
-def of_camera(mission, camera):
-    """The rows of a camera."""
-    rows = mission.result_rows()
-    return rows[rows["image"].str.startswith(camera)]
-
-
 @pytest.mark.parametrize("camera", LIGHTS_M)
 def test_refraction_of_air_and_window_is_that_of_the_cameras_light(runs, camera):
     factor = factor_of(LIGHTS_M[camera])
     assert abs(factor - 1.0) > 0.003
-    usual = of_camera(runs["usual"], camera)
-    bands = of_camera(runs["bands"], camera)
+    usual = rows_of_camera(runs["usual"], camera)
+    bands = rows_of_camera(runs["bands"], camera)
     # One parameter of the air for all lights, whose sigma is that of the mission in one light.
     scale = bands["dx_ds_px"] / usual["dx_ds_px"]
     assert scale.median() == pytest.approx(factor, rel=3e-3)
@@ -77,8 +72,8 @@ def test_refraction_of_air_and_window_is_that_of_the_cameras_light(runs, camera)
 
 def test_a_camera_is_the_same_whoever_flies_beside_it(runs):
     """The red camera of the rig, and of a mission that is red as a whole."""
-    red = of_camera(runs["red"], "nadir")
-    bands = of_camera(runs["bands"], "nadir")
+    red = rows_of_camera(runs["red"], "nadir")
+    bands = rows_of_camera(runs["bands"], "nadir")
     by_air = ["dx_ds_px", "dy_ds_px"]
     assert_frame_equal(bands[by_air], red[by_air], rtol=1e-3, atol=0.0)
     exact = red.columns.drop(by_air)
@@ -152,12 +147,6 @@ def test_the_library_refuses_a_band_in_air_of_one_light(runs):
     text = str(refusal.value)
     assert "one fixed wavelength" in text
     assert "cameras.nadir.wavelength_m" in text
-
-
-def test_a_check_of_a_rig_says_the_lights(runs, unbend):
-    ended = unbend("check", "-v", runs["bands"].file)
-    assert ended.code == 0, ended.text
-    assert "CAMERA-LIGHT" in ended.text
 
 
 def test_a_mission_file_with_a_formula_of_one_light_is_refused(mission):

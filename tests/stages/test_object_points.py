@@ -1,7 +1,5 @@
 """Ground heights from a table of object points; truth is the simulator's list of points."""
 
-import struct
-
 import numpy as np
 import pandas as pd
 import pyproj
@@ -10,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from tests.helpers import entry_of
 from tests.stages.other_logs import refusal_to_read
+from tests.stages.terrain_models import gtx
 
 GEOGRAPHIC = {"latitude": "lat_deg", "longitude": "lon_deg"}
 PROJECTED = {"x": "east", "y": "north"}
@@ -49,9 +48,8 @@ def state(
 
 def write_geoid(mission, undulation_m):
     """A grid of 4 rows from 46 degrees north and 4 columns from 7 degrees east, a degree apart."""
-    head = struct.pack(">4d2i", 46.0, 7.0, 1.0, 1.0, 4, 4)
-    values = np.broadcast_to(undulation_m, (4, 4)).astype(">f4")
-    (mission.folder / "own.gtx").write_bytes(head + values.tobytes())
+    content = gtx(46.0, 7.0, 1.0, np.broadcast_to(undulation_m, (4, 4)))
+    (mission.folder / "own.gtx").write_bytes(content)
     mission.config["mission"]["geoid"] = "own.gtx"
 
 
@@ -152,7 +150,6 @@ EAST_FOR_NORTH = {"x": "north", "y": "east"}
         (EAST_FOR_NORTH, "EPSG:25832", "CRS-AREA", ""),
         (PROJECTED, "EPSG:32633", "POINTS-FAR", "km from the stations"),
         (GEOGRAPHIC, "EPSG:99999", "CRS-UNKNOWN", "ground.height.crs"),
-        ({"x": "east"}, "EPSG:4326", "CONFIG-INVALID", "either latitude and longitude"),
     ],
 )
 def test_wrong_places_of_points_are_refused(mission, table, places, crs, code, words):
@@ -177,21 +174,18 @@ def test_heights_that_are_not_numbers(mission, table, name):
     refusal_to_read(mission, "POINTS-TABLE")
 
 
-def test_points_that_are_repeated(mission, table):
-    state(mission, pd.concat([table, table.head(2)]))
-    text = refusal_to_read(mission, "POINTS-REPEATED")
-    assert "2 points occur more than once" in text
-
-
-def test_points_of_other_names(mission, table):
-    table["point"] = "q" + table["point"]
-    state(mission, table)
-    assert "p0" in refusal_to_read(mission, "POINTS-MISSING")
-
-
-def test_a_table_without_points(mission, table):
-    state(mission, table.head(0))
-    refusal_to_read(mission, "POINTS-EMPTY")
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        (lambda t: pd.concat([t, t.head(2)]), "POINTS-REPEATED", "2 points occur more than once"),
+        (lambda t: t.assign(point="q" + t["point"]), "POINTS-MISSING", "p0"),
+        (lambda t: t.head(0), "POINTS-EMPTY", ""),
+    ],
+    ids=["repeated", "of other names", "none"],
+)
+def test_tables_of_other_points_are_refused(mission, table, change, code, words):
+    state(mission, change(table))
+    assert words in refusal_to_read(mission, code)
 
 
 def test_a_table_of_points_that_is_not_there(mission, table):

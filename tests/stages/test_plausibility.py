@@ -11,11 +11,11 @@ import yaml
 
 from tests.helpers import channel, with_code
 from tests.stages.mistaken import changed, evaluated
-from tests.stages.other_logs import with_channels
+from tests.stages.other_logs import read_folder, with_channels
 from unbend.atmosphere.estimate.candidates import SourceUse
 from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.batch.rehearsal import camera_text
-from unbend.batch.runs import check_mission, read_mission
+from unbend.batch.runs import check_mission
 from unbend.errors import Code
 from unbend.library import corrected_table
 from unbend.messages import Kind, Ledger, message
@@ -219,7 +219,7 @@ def test_ground_beside_the_terrain_of_the_autopilot(
     table = mission.measurements().to_pandas()
     ground_m = table.groupby("image")["h_g_m"].median()
     observe(mission, f"h_g_m = h_g_m * {factor}")
-    read = read_mission(mission.save())
+    read = read_folder(mission)
     stations = read.stations
     nadir = stations.rows(np.flatnonzero(stations.camera == "nadir"))
     terrain = channel(
@@ -547,24 +547,6 @@ def test_nothing_is_held_back_by_what_is_accepted_or_of_what_is_a_note(kind_of_c
     ledger = ledger_of({"PLAUSIBLE-VIEW": kind_of_cause, "TIES-MOUNT": kind_of_ties})
     hold_back_ties(ledger)
     assert [entry.code for entry in ledger] == ["PLAUSIBLE-VIEW", "TIES-MOUNT"]
-
-
-def test_an_image_that_the_log_does_not_know_is_one_loss(mission):
-    """Its rows are a note; rows without ground stay a loss of their own."""
-    table = mission.measurements().to_pandas()
-    table.loc[0, "image"] = "nadir_09999"
-    table.loc[5, "h_g_m"] = np.nan
-    table.to_parquet(mission.folder / "observations.parquet", index=False)
-
-    checked = check_mission(mission.save())
-
-    ledger = checked.corrected.prepared.ledger
-    (unmatched,) = with_code(ledger, "IMAGES-UNMATCHED")
-    assert unmatched.kind == "loss"
-    flagged = with_code(ledger, "OBS-FLAGGED")
-    kinds = {message.values["status"]: message.kind for message in flagged}
-    assert kinds == {"no_station": "note", "no_ground": "loss"}
-    assert checked.manifest.values["exit_code"] == 3
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from tests.helpers import with_code
 from tests.stages.dataflash_records import records, times_us, value_of, write_value
-from unbend.batch.runs import read_mission
+from tests.stages.other_logs import read_folder
 
 LATITUDE_OF_77_M = round(np.degrees(77.0 / 6.371e6) * 1e7)
 AROUND_US = 2_000_000
@@ -103,7 +103,7 @@ def test_use_suspect_corrects_them_and_ends_with_three_all_the_same(glitch, unbe
 def test_a_filter_that_stays_where_it_was_is_not_suspect(mission):
     """The receiver alone jumps and returns: the filter's position, which is used, is right."""
     move_north(mission, "GPS")
-    prepared = read_mission(mission.save())
+    prepared = read_folder(mission)
     assert prepared.stations.ok.all()
     assert not prepared.ledger.has_losses
 
@@ -115,7 +115,7 @@ def test_air_is_not_sampled_at_heights_that_the_barometer_contradicts(mission, b
     begin_us = times[0] + 0.4 * duration_us
     end_us = begin_us + duration_us / 6.0
     move(mission, "GPS", "Alt", 8_000, begin_us, end_us)
-    prepared = read_mission(mission.save())
+    prepared = read_folder(mission)
     assert prepared.ledger.has_losses
     warnings = with_code(prepared.ledger, "AIR-SUSPECT-HEIGHT")
     assert {warning.kind for warning in warnings} == {"warning"}

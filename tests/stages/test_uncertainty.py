@@ -14,9 +14,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import refused, with_code
 from tests.stages.block_files import CABIN
-from tests.stages.corrected_rows import corrected
-from unbend.atmosphere.covariance import ProfileCovariance
-from unbend.batch.runs import read_mission
+from tests.stages.corrected_rows import corrected, pressure_alone, shift
+from tests.stages.other_logs import read_folder
 from unbend.flight.stations import STATION_OK, empty_stations
 from unbend.refraction.uncertainty.sigmas import (
     FOLLOWING,
@@ -36,14 +35,6 @@ BY_SCALE = ["dx_ds_px", "dy_ds_px"]
 BY_CABIN = ["dx_dncc_px", "dy_dncc_px"]
 
 
-def pressure_alone(profile, ln_p=LN_P):
-    size = profile.layers.edge.size
-    variances = np.zeros(2 * size + 1)
-    variances[size] = ln_p**2
-    matrix = np.diag(variances)
-    return ProfileCovariance(profile, 1000.0, matrix)
-
-
 def with_series(prepared, **changed):
     """The mission in other air."""
     series = replace(prepared.air.series, **changed)
@@ -60,14 +51,14 @@ def with_air(prepared, **changed):
 
 def in_doubtful_air(mission):
     """The pressure is known to 0.4 %, and nothing else of the air is in doubt."""
-    prepared = read_mission(mission.save())
-    covariance = pressure_alone(prepared.air.adjustment.profile)
+    prepared = read_folder(mission)
+    covariance = pressure_alone(prepared.air.adjustment.profile, LN_P)
     return with_air(prepared, own_covariance=covariance, neighbours=None)
 
 
 def in_unknown_air(mission):
     """The mission corrected in air of which nobody knows how good it is."""
-    prepared = read_mission(mission.save())
+    prepared = read_folder(mission)
     unknown = with_air(prepared, own_covariance=None, neighbours=None)
     return corrected(unknown)
 
@@ -88,20 +79,9 @@ def with_mounts(mission, **sigmas):
         mount |= sigmas
 
 
-def apply_refraction(mission):
-    mission.config["refraction"] = {"direction": "apply"}
-    accept(mission, "PLAUSIBLE-APPLY")
-
-
 def unknown_sigmas(done):
     messages = with_code(done.prepared.ledger, "SIGMA-UNKNOWN")
     return [message.what for message in messages]
-
-
-def shift(rows, moved="corrected"):
-    """(n, 2) in x and y."""
-    pixels = rows[[f"x_{moved}_px", f"y_{moved}_px"]].to_numpy()
-    return pixels - rows[["x_px", "y_px"]].to_numpy()
 
 
 def assert_near(values, expected, *, rtol, share):
@@ -138,23 +118,6 @@ def test_sigmas_of_air_station_and_ground(mission):
     assert b"never add it to the weights" in field.metadata[b"meaning"]
 
 
-def test_the_shift_is_scaled_by_the_air(mission):
-    """Without a window the whole shift is refraction, and the air scales it in x and y alike."""
-    without_windows(mission)
-
-    done = corrected(in_doubtful_air(mission))
-
-    scale = done.record["uncertainty"]
-    assert_allclose(scale["scale_sigma"], LN_P, rtol=1e-3)
-    assert_allclose(scale["variance_share"], 1.0, rtol=1e-3)
-    rows = done.rows()
-    shift_px = shift(rows)
-    sigma_px = LN_P * np.abs(shift_px)
-    assert_allclose(rows[AIR], sigma_px, rtol=5e-3)
-    assert_allclose(rows[BY_SCALE], shift_px, rtol=5e-3)
-    assert is_null(rows[BY_CABIN])
-
-
 LOGGED = {"cabin": "log"}
 SCHEDULE = {"cabin": "standard_schedule"}
 LEANING = {
@@ -183,8 +146,9 @@ def test_behind_a_window_against_rows_in_other_air(mission, nadir, oblique, move
     mission.config["cameras"]["nadir"]["window"] = nadir
     mission.config["cameras"]["oblique"]["window"] = oblique
     if moved == "displaced":
-        apply_refraction(mission)
-    prepared = read_mission(mission.save())
+        mission.config["refraction"] = {"direction": "apply"}
+        accept(mission, "PLAUSIBLE-APPLY")
+    prepared = read_folder(mission)
     profile = prepared.air.adjustment.profile
 
     def shift_at(ln_p):
@@ -261,23 +225,11 @@ def test_several_profiles_have_one_parameter(mission):
     assert is_tight.nunique() == 2
     sigma = np.where(is_tight, LN_P / 3.0, LN_P)
     of_mode = rows[BY_SCALE] * scale["scale_sigma"]
+    # Without a window the whole shift is refraction, and the air scales it in x and y alike.
     expected = shift(rows) * sigma[:, None]
     assert_allclose(of_mode, expected, rtol=5e-3)
-
-
-def test_displaced_observations_move_with_the_air(mission):
-    """More air displaces more, to the other side than it corrects."""
-    without_windows(mission)
-    with_mounts(mission, sigma_tilt_deg=0.2)
-    apply_refraction(mission)
-
-    rows = corrected(in_doubtful_air(mission)).rows()
-
-    sigma_r_c = LN_P * rows["r_c_rad"]
-    assert_allclose(rows["sigma_r_c_rad"], sigma_r_c, rtol=2e-3)
-    assert (rows["sigma_station_dx_px"] > 0.0).all()
-    displaced = shift(rows, "displaced")
-    assert_allclose(rows[BY_SCALE], displaced, rtol=5e-3, atol=1e-4)
+    assert_allclose(rows[AIR], np.abs(expected), rtol=5e-3)
+    assert is_null(rows[BY_CABIN])
 
 
 # ---- the ground, and sigmas that are missing
@@ -345,7 +297,7 @@ def test_a_column_of_sigmas_of_which_some_are_no_sigmas(mission):
 def test_a_column_that_is_not_there(mission):
     mission.config["ground"]["sigma_column"] = "sigma_h"
     with refused("OBS-COLUMN") as refusal:
-        read_mission(mission.save())
+        read_folder(mission)
     assert "ground.sigma_column" in str(refusal.value)
 
 
@@ -353,7 +305,7 @@ def test_a_column_that_is_not_there(mission):
 
 
 def sigmas_of(mission):
-    prepared = read_mission(mission.save())
+    prepared = read_folder(mission)
     stations = prepared.stations
     return station_sigmas(prepared.mission, stations), stations
 
@@ -396,7 +348,7 @@ def test_the_sigmas_of_each_mount_are_in_radians(mission):
 
 def test_stations_that_know_nothing_of_their_attitude_have_the_sigmas_of_the_mount(mission):
     mission.config["mount"]["oblique"]["sigma_tilt_deg"] = 0.25
-    prepared = read_mission(mission.save())
+    prepared = read_folder(mission)
     unknown = np.full(len(prepared.stations), np.nan)
     stations = replace(prepared.stations, sigma_tilt_rad=unknown)
 

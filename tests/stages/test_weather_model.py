@@ -9,15 +9,14 @@ import pytest
 from tests.helpers import codes_of, entry_of, with_code
 from tests.model_files import dataset, netcdf
 from tests.stages.oriented_tables import PINHOLES, columns_of
-from tests.stages.other_logs import refusal_to_read
+from tests.stages.other_logs import read_folder, refusal_to_read
+from tests.stages.plane_rays import TRUE_AIR, plane_factor, true_refractivity
 from unbend import correct
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.series import profiles_by_place
 from unbend.batch.results import verify_run
-from unbend.batch.runs import read_mission
 from unbend.messages import Ledger
-from unbend.simulate.flight import FIELD_LAT_RAD
-from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
+from unbend.simulate.true_air import temperature_k, vapour_pressure_pa
 from unbend.stages.air_of_mission import adjusted_profiles
 from unbend.stages.air_sources import read_air_sources
 
@@ -25,7 +24,6 @@ NORTH = (48.0, 47.5, 47.0)
 EAST = (8.0, 8.5, 9.0)
 HOURS = ("2025-06-12T09", "2025-06-12T10", "2025-06-12T11")
 H = np.arange(-200.0, 20_000.0, 20.0)
-TRUE_AIR = true_air(FIELD_LAT_RAD)
 PRESSURE = TRUE_AIR.pressure_pa(H)
 NAME = "weather model era5.nc 2025-06-12T10:00"
 
@@ -52,17 +50,6 @@ def modelled(mission, fields):
     return mission
 
 
-def factor(refractivity, h_g, h_c):
-    """R / tan(zeta) in the plane: Gyer 1996, Eq. 24."""
-    n = refractivity(np.linspace(h_g, h_c, 3001))
-    mean = np.mean(0.5 * (n[1:] + n[:-1]))
-    return mean - n[-1]
-
-
-def true_refractivity(h_m):
-    return TRUE_AIR.n(h_m) - 1.0
-
-
 def test_beside_the_sensors_it_is_used_hashed_and_named(modelled, unbend):
     checked = unbend("check", modelled.save())
     assert checked.code == 0, checked.text
@@ -84,9 +71,9 @@ def test_beside_the_sensors_it_is_used_hashed_and_named(modelled, unbend):
 
 def test_the_flights_own_sensors_win(modelled, fields):
     write_model(modelled, fields.assign(t=fields.t + 2.0))
-    with_model = read_mission(modelled.save()).air.adjustment.profile
+    with_model = read_folder(modelled).air.adjustment.profile
     del modelled.config["atmosphere"]["model"]
-    alone = read_mission(modelled.save()).air.adjustment.profile
+    alone = read_folder(modelled).air.adjustment.profile
     h = np.linspace(500.0, 2900.0, 50)
     # A thermometer and a barometer are good to 0.5 K together, an analysis to 1 K, and to 2 K low.
     difference_k = with_model.temperature(h) - alone.temperature(h)
@@ -94,7 +81,7 @@ def test_the_flights_own_sensors_win(modelled, fields):
 
 
 def test_without_sensors_the_air_is_the_models(modelled):
-    read = read_mission(modelled.save())
+    read = read_folder(modelled)
     nothing = AirSamples()
     ledger = Ledger()
     heights = replace(read.flight.heights, home_h_msl_m=450.0)
@@ -112,11 +99,11 @@ def test_without_sensors_the_air_is_the_models(modelled):
     assert air.basis == "weather model"
     assert air.is_measured
     assert air.reason == NAME
-    right = factor(true_refractivity, 450.0, 2950.0)
+    right = plane_factor(true_refractivity, 450.0, 2950.0)
     relative_sigma = air.covariance.relative_sigma(2950.0, 450.0)
     assert 0.015 < relative_sigma < 0.05
     # An analysis is good to 2 K near the ground: the climatology draws it 1.8 K to its own side.
-    estimated = factor(air.profile.refractivity, 450.0, 2950.0)
+    estimated = plane_factor(air.profile.refractivity, 450.0, 2950.0)
     assert estimated == pytest.approx(right, rel=relative_sigma)
 
 
@@ -129,7 +116,7 @@ def test_one_of_another_day_is_refused(modelled, fields):
 
 def test_a_standard_asked_for_leaves_it_unused(modelled):
     modelled.config["atmosphere"]["adjust"] = False
-    ledger = read_mission(modelled.save()).ledger
+    ledger = read_folder(modelled).ledger
     (unused,) = with_code(ledger, "AIR-SOURCES-UNUSED")
     assert "1 column (soundings, weather model)" in unused.what
     assert unused.count == 1  # sources that are not used

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import entry_of
-from tests.stages.other_logs import refusal_to_read
+from tests.stages.corrected_rows import rows_of_camera
 from unbend.batch.results import read_manifest
 from unbend.batch.runs import check_mission
 
@@ -45,10 +45,9 @@ def test_a_dome_a_schedule_and_a_lens(mission):
         assert entry_of(manifest, code)["where"] == key
     assert "is not removed" in entry_of(manifest, "WINDOW-GLASS")["what"]
     assert "distance of nadir is not" in entry_of(manifest, "LENS-NOT-REMOVED")["what"]
-    rows = mission.result_rows()
-    behind_the_dome = rows[rows["image"].str.startswith("nadir")]
+    behind_the_dome = rows_of_camera(mission, "nadir")
     assert set(behind_the_dome["r_cc_rad"]) == {0.0}
-    assert np.isfinite(rows["r_cc_rad"]).all()
+    assert np.isfinite(mission.result_rows()["r_cc_rad"]).all()
 
 
 def miss_px(mission):
@@ -80,16 +79,3 @@ def test_every_pressure_of_a_cabin_comes_back_from_the_manifest(mission, pressur
     assert ended.code in (0, 3), ended.text  # an unpressurised cabin contradicts the log
     sections = read_manifest(mission.output).sections
     assert sections.cameras["nadir"].window.cabin.pressure == pressure
-
-
-def test_a_window_that_looks_away_refuses_the_file(mission):
-    window = {"cabin": "log", "frame": "body", "normal": [0.0, 0.0, -1.0]}
-    mission.config["cameras"]["oblique"]["window"] = window
-    text = refusal_to_read(mission, "CONFIG-INVALID")
-    assert "'oblique' has a normal away" in text
-
-
-def test_an_aircraft_attitude_that_the_log_does_not_have(mission):
-    mission.config["log"]["channels"]["aircraft_attitude"] = "ATT[9]"
-    text = refusal_to_read(mission, "CHANNEL-MISSING")
-    assert "log.channels.aircraft_attitude" in text
