@@ -253,7 +253,9 @@ class GeoidGrid:
         """The cells of the grid that contain places [rad]; NaN corners outside the grid."""
         rows, columns = self.values_m.shape
         goes_round = abs(columns * self.step_lon_deg - 360.0) < _TOLERANCE
-        cells_across = columns if goes_round else columns - 1
+        cells_across = columns
+        if not goes_round:
+            cells_across -= 1
         degrees_north = np.degrees(np.asarray(lat_rad, np.float64)) - self.south_deg
         degrees_east = np.degrees(np.asarray(lon_rad, np.float64)) - self.west_deg
         # A place on the western edge may be a little less than 360 degrees east of it.
@@ -261,11 +263,13 @@ class GeoidGrid:
         y, x = np.broadcast_arrays(
             degrees_north / self.step_lat_deg, degrees_east / self.step_lon_deg
         )
-        is_inside = (
-            (y > -_TOLERANCE) & (y < rows - 1 + _TOLERANCE) & (x < cells_across + _TOLERANCE)
-        )
-        south = np.clip(np.where(is_inside, y, 0.0).astype(np.int64), 0, rows - 2)
-        west = np.clip(np.where(is_inside, x, 0.0).astype(np.int64), 0, cells_across - 1)
+        is_inside = y > -_TOLERANCE
+        is_inside &= y < rows - 1 + _TOLERANCE
+        is_inside &= x < cells_across + _TOLERANCE
+        whole_y = np.where(is_inside, y, 0.0).astype(np.int64)
+        whole_x = np.where(is_inside, x, 0.0).astype(np.int64)
+        south = np.clip(whole_y, 0, rows - 2)
+        west = np.clip(whole_x, 0, cells_across - 1)
         north = south + 1
         east = (west + 1) % columns
 

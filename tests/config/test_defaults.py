@@ -2,6 +2,7 @@
 
 import math
 import typing
+from pathlib import Path
 
 import pytest
 import yaml
@@ -19,6 +20,8 @@ from unbend.config.observation_table import ObservationsSection
 from unbend.config.windows import WindowSection
 from unbend.ingest.field_maps import STATED_UNITS
 from unbend.ingest.registry import SUFFIXES
+
+ROOT = Path(__file__).resolve().parents[2]
 
 CAMERA = {
     "width_px": 1000,
@@ -214,6 +217,12 @@ def test_the_formats_of_logs_are_those_that_can_be_read():
         assert suffix in SUFFIXES
     for suffix in SUFFIXES:
         assert suffix in described
+
+
+def test_the_page_of_formats_names_every_extension_of_a_log():
+    page = (ROOT / "docs" / "pages" / "formats" / "index.md").read_text("utf-8")
+    for suffix in SUFFIXES:
+        assert f"`{suffix}`" in page
 
 
 def test_the_units_of_a_channel_are_those_that_can_be_converted():

@@ -9,7 +9,7 @@ import yaml
 
 from unbend.config import load_mission
 from unbend.config.keys import mission_keys
-from unbend.config.schema import all_sections, mission_schema, nodes_at
+from unbend.config.schema import all_sections, campaign_schema, mission_schema, nodes_at
 from unbend.config.yaml_text import MissionLoader
 from unbend.errors import ConfigError
 
@@ -68,6 +68,15 @@ def test_keys_of_numbers_have_a_unit_and_its_name_says_the_same():
         suffix = max((end for end in ends if path.endswith(end)), key=len, default="")
         if key.unit and suffix:
             assert key.unit == ends[suffix], path
+
+
+def test_who_changes_a_schema_changes_a_copy():
+    for schema_of in (mission_schema, campaign_schema):
+        changed = schema_of()
+        changed["properties"].clear()
+        changed["$defs"].clear()
+        assert schema_of()["properties"]
+        assert schema_of()["$defs"]
 
 
 def test_every_default_is_stated_and_every_example_is_taken():

@@ -57,9 +57,11 @@ class Shares(NamedTuple):
 
     def within(self, least: Shares, largest: Shares) -> Shares:
         """The nearest shares between two limits."""
+        images = max(self.images, least.images)
+        events = max(self.events, least.events)
         return Shares(
-            images=min(max(self.images, least.images), largest.images),
-            events=min(max(self.events, least.events), largest.events),
+            images=min(images, largest.images),
+            events=min(events, largest.events),
         )
 
 
@@ -105,7 +107,8 @@ class Axis:
     @property
     def is_pulse(self) -> Mask:
         """(m,) the events that do not repeat another one."""
-        return np.append(True, np.diff(self.pulse) > 0)
+        is_another = np.diff(self.pulse) > 0
+        return np.append(True, is_another)
 
     @property
     def interval(self) -> float:
@@ -142,8 +145,8 @@ class Axis:
         partners = np.full(nearest.shape, -1, np.int64)
         for events, misfits, partner in zip(nearest, misfit, partners, strict=True):
             order = np.lexsort((misfits, events))
-            is_first = np.append(True, np.diff(events[order]) > 0)
-            first = order[is_first]
+            is_another = np.diff(events[order]) > 0
+            first = order[np.append(True, is_another)]
             in_reach = misfits[first] <= WINDOW_SIGMAS
             partner[first] = np.where(in_reach, events[first], -1)
         return partners
@@ -153,8 +156,8 @@ class Axis:
         offset = self.differences()
         if offset.size == 0:
             return np.array([self.offset])
-        bin_of_offset = np.floor(offset / self.bin_width).astype(np.int64)
-        bins, votes = np.unique(bin_of_offset, return_counts=True)
+        bin_of_offset = np.floor(offset / self.bin_width)
+        bins, votes = np.unique(bin_of_offset.astype(np.int64), return_counts=True)
         if self.is_time:  # what falls on both sides of a border counts together
             votes = votes_of_borders(bins, votes)
             bins = bins + 1
@@ -186,8 +189,10 @@ class Axis:
         if not self.is_time:
             return self
         misfit = np.abs(self.residuals(clocks)) / self.sigma
-        spread = SIGMA_OF_MAD * float(np.median(misfit, axis=1).min())
-        return replace(self, sigma=self.sigma * max(1.0, spread))
+        median_misfit = np.median(misfit, axis=1)
+        spread = SIGMA_OF_MAD * float(median_misfit.min())
+        inflation = max(1.0, spread)
+        return replace(self, sigma=self.sigma * inflation)
 
     def with_neighbours(self, clocks: Array) -> tuple[Array, Shares]:
         """Clocks and those that shift the best one by up to six events; shares without a partner.
@@ -202,7 +207,8 @@ class Axis:
         beside = near + steps[:, None]
         beside = np.clip(beside, 0, self.events.size - 1)
         shifts = self.events[beside] - self.events[near]
-        neighbours = self.fitted(best[0] + np.median(shifts, axis=1))
+        shift = np.median(shifts, axis=1)
+        neighbours = self.fitted(best[0] + shift)
         return np.concatenate([clocks, neighbours]), shares
 
     def shares_without_partner(self, clock: Array) -> Shares:
@@ -236,7 +242,8 @@ class Axis:
     def step_of_clocks(self, clocks: Array, weight: Array, residual: Array) -> Array:
         """(c, 2) least-squares changes of clocks by weighted residuals (c, k) and their priors."""
         x = self.since_middle
-        prior_weight = np.array([self.offset_sigma, self.drift_sigma]) ** -2.0
+        prior_sigma = np.array([self.offset_sigma, self.drift_sigma])
+        prior_weight = prior_sigma**-2.0
         from_prior = clocks - [self.offset, 0.0]
         normal = np.empty((clocks.shape[0], 2, 2))
         normal[:, 0, 0] = weight.sum(axis=1) + prior_weight[0]
@@ -281,8 +288,10 @@ class Axis:
         from_last = np.minimum.accumulate(low[:, ::-1], axis=1)
         low = from_last[:, ::-1]
         high = np.searchsorted(self.events, predicted + reach, side="right")
-        width = np.clip(np.max(high - low), 1, MAX_WINDOW)
-        return np.asarray(low[..., None] + np.arange(width), np.int64)
+        widest = np.max(high - low)
+        width = np.clip(widest, 1, MAX_WINDOW)
+        column = low[..., None] + np.arange(width)
+        return np.asarray(column, np.int64)
 
     def likelihoods(self, clocks: Array, shares: Shares) -> Array:
         """(c,) log likelihood of each clock, with what is known of clocks beforehand."""
@@ -353,7 +362,8 @@ class Axis:
     def is_pulse_of(self, low: Integers, best: Integers, width: int) -> Mask:
         """(k, w) events from the row ``low`` on that are of the same pulse as the ``best`` one."""
         column = low[:, None] + np.arange(width)
-        pulse = self.pulse[np.minimum(column, self.pulse.size - 1)]
+        last = self.pulse.size - 1
+        pulse = self.pulse[np.minimum(column, last)]
         pulse_of_best = np.take_along_axis(pulse, best[:, None], axis=1)
         return np.asarray(pulse == pulse_of_best, np.bool_)
 

@@ -43,7 +43,8 @@ class SeenRays:
 
     def left_px(self, camera: Camera) -> Array:
         """(n, 2) pixels in which a camera would see the straight rays, less those measured."""
-        return np.stack(camera.project(*self.straight.T), axis=1) - self.measured_px
+        seen_px = np.stack(camera.project(*self.straight.T), axis=1)
+        return seen_px - self.measured_px
 
 
 def changed_camera(camera: Camera, rays: SeenRays, names: Sequence[str] = FULL) -> Camera:
@@ -64,12 +65,15 @@ def changed_camera(camera: Camera, rays: SeenRays, names: Sequence[str] = FULL) 
     values = np.zeros(len(free))
     weight = np.repeat(np.sqrt(rays.weight), 2)
     for _ in range(ROUNDS):
-        now = rays.left_px(moved_camera(camera, free, values)).ravel()
+        moved = moved_camera(camera, free, values)
+        left = rays.left_px(moved).ravel()
         slopes = []
         for unit in np.eye(len(free)):
             nearby = moved_camera(camera, free, values + STEP * unit)
-            slopes.append((rays.left_px(nearby).ravel() - now) / STEP)
-        values = values - least_squares(np.stack(slopes, axis=1), now, weight)
+            change = rays.left_px(nearby).ravel() - left
+            slopes.append(change / STEP)
+        design = np.stack(slopes, axis=1)
+        values = values - least_squares(design, left, weight)
     return moved_camera(camera, free, values)
 
 
@@ -120,7 +124,9 @@ class CorrectionChange:
 
     def radial(self, r: Array) -> Array:
         """(n,) what is added to radii (n,), in their unit, the principal distance."""
-        return r**3 * (self.k1 + r**2 * (self.k2 + r**2 * self.k3))
+        r2 = r**2
+        by_r3 = self.k1 + r2 * (self.k2 + r2 * self.k3)
+        return r**3 * by_r3
 
 
 def correction_change(
@@ -138,11 +144,12 @@ def correction_change(
     straight = rays.straight * Y_UP
     terms = terms_of_correction(measured, straight)
     design = np.stack([terms[name].ravel() for name in names], axis=1)
-    wanted = (straight - np.stack([u, -v], axis=1)).ravel()
-    values = least_squares(design, wanted, np.repeat(np.sqrt(rays.weight), 2))
-    left_px = (design @ values - wanted).reshape(-1, 2) * focal_px * Y_UP
-    change = CorrectionChange(**dict(zip(names, values.tolist(), strict=True)))
-    return change, left_px
+    wanted = (straight - columns(u, -v)).ravel()
+    weight = np.repeat(np.sqrt(rays.weight), 2)
+    values = least_squares(design, wanted, weight)
+    left = (design @ values - wanted).reshape(-1, 2)
+    change = dict(zip(names, values.tolist(), strict=True))
+    return CorrectionChange(**change), left * focal_px * Y_UP
 
 
 def terms_of_correction(measured: Array, straight: Array) -> dict[str, Array]:
@@ -175,5 +182,6 @@ def least_squares(design: Array, wanted: Array, weight: Array) -> Array:
     """(k,) unknowns; those that are all but the same for these rows share what they explain."""
     weighted = design * weight[:, None]
     scale = np.linalg.norm(weighted, axis=0)
-    scaled_values = np.linalg.lstsq(weighted / scale, wanted * weight, rcond=SMALLEST_SINGULAR)[0]
+    solution = np.linalg.lstsq(weighted / scale, wanted * weight, rcond=SMALLEST_SINGULAR)
+    scaled_values = solution[0]
     return np.asarray(scaled_values / scale)

@@ -31,6 +31,7 @@ UNKNOWN_SIGMAS = (3.0, 3.0, 6.0, np.radians(1.0), np.radians(1.0), np.radians(3.
 LEAST_SIGMAS = (1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6)
 """The same of a station that states 0."""
 
+NO_ROTATION = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z that stand for an unknown attitude
 NEAREST_M = 1e-3  # added to distances: no point is divided by zero
 RIDGE = 1e-12  # of the trace, added to normal equations of points: rays may be parallel
 
@@ -51,7 +52,8 @@ class Orientations:
 
     def assigned(self, row: Integers) -> Orientations:
         """Orientations of images (k,), each that of a row, or none for -1: a hypothesis."""
-        centre = np.where(row[:, None] >= 0, self.centre_m[row], np.nan)
+        has_row = row[:, None] >= 0
+        centre = np.where(has_row, self.centre_m[row], np.nan)
         return Orientations(
             camera=self.camera[row],
             centre_m=centre,
@@ -70,7 +72,8 @@ class Orientations:
     def turns_of(self, camera: str) -> Array:
         """(s, 6, 3) what a unit of `turned` is to the stations of a camera, as `sigma`."""
         change = np.zeros((self.camera.size, 6, 3))
-        change[:, 3:] = self.enu_from_ecef @ np.swapaxes(self.camera_from_ecef, 1, 2)
+        ecef_from_camera = np.swapaxes(self.camera_from_ecef, 1, 2)
+        change[:, 3:] = self.enu_from_ecef @ ecef_from_camera
         change[self.camera != camera] = 0.0
         return change
 
@@ -89,9 +92,11 @@ def orientations_of(
     lat_rad = np.nan_to_num(stations.lat_rad)
     lon_rad = np.nan_to_num(stations.lon_rad)
     axes = enu_from_ecef(lat_rad, lon_rad)
-    usable = stations.ok & np.all(np.isfinite(stations.quaternion), axis=1)
-    w_x_y_z = np.where(usable[:, None], stations.quaternion, [1.0, 0.0, 0.0, 0.0])
-    camera_from_enu = Rotation.from_quat(w_x_y_z[:, [1, 2, 3, 0]]).as_matrix()
+    has_attitude = np.all(np.isfinite(stations.quaternion), axis=1)
+    usable = stations.ok & has_attitude
+    w_x_y_z = np.where(usable[:, None], stations.quaternion, NO_ROTATION)
+    x_y_z_w = w_x_y_z[:, [1, 2, 3, 0]]
+    camera_from_enu = Rotation.from_quat(x_y_z_w).as_matrix()
     sigma_of_axes = [
         stations.sigma_horizontal_m,
         stations.sigma_horizontal_m,
@@ -130,7 +135,9 @@ class ImageRays:
     def of_points(self, points: Integers) -> ImageRays:
         """The rays of some points."""
         keep = np.isin(self.point, points)
-        height_m = None if self.height_m is None else self.height_m[keep]
+        height_m = None
+        if self.height_m is not None:
+            height_m = self.height_m[keep]
         return ImageRays(
             image=self.image[keep],
             point=self.point[keep],
@@ -193,7 +200,8 @@ class SortedRays:
             normal += RIDGE * size[:, None, None] * np.eye(3)
             right = self.sums(weight[:, None] * moment)
             position = np.linalg.solve(normal, right[..., None])[..., 0]
-            distance = np.linalg.norm(position[self.index] - self.centre, axis=1) + NEAREST_M
+            line = position[self.index] - self.centre
+            distance = np.linalg.norm(line, axis=1) + NEAREST_M
         return np.asarray(position, np.float64)
 
     def angles(self, good: Mask) -> Array:
@@ -201,12 +209,15 @@ class SortedRays:
         no_ray = 2.0  # larger than any cosine
         reference = self.direction[self.start[self.index]]
         for _ in range(2):
-            cosine = np.where(good, np.sum(reference * self.direction, axis=1), no_ray)
+            cosine = np.sum(reference * self.direction, axis=1)
+            cosine = np.where(good, cosine, no_ray)
             least = np.minimum.reduceat(cosine, self.start)
             farthest = np.flatnonzero(cosine == least[self.index])
-            first = np.searchsorted(self.index[farthest], np.arange(self.start.size))
+            points = np.arange(self.start.size)
+            first = np.searchsorted(self.index[farthest], points)
             reference = self.direction[farthest[first]][self.index]
-        return np.where(least < no_ray, np.arccos(np.clip(least, -1.0, 1.0)), 0.0)
+        largest = np.arccos(np.clip(least, -1.0, 1.0))
+        return np.where(least < no_ray, largest, 0.0)
 
     def misses(self, orientations: Orientations, position: Array, good: Mask) -> RayMisses:
         """What good rays miss points (p, 3) by, and what changes it."""
@@ -240,8 +251,10 @@ class SortedRays:
 def axes_across(direction: Array) -> Array:
     """(r, 2, 3) unit vectors along the image's x and y, across rays in the camera (r, 3)."""
     x = np.array([1.0, 0.0, 0.0]) - direction[:, :1] * direction
-    x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
-    return np.stack([x, np.cross(direction, x)], axis=1)
+    length = np.linalg.norm(x, axis=1, keepdims=True)
+    x /= np.maximum(length, 1e-9)
+    y = np.cross(direction, x)
+    return np.stack([x, y], axis=1)
 
 
 def sorted_rays(orientations: Orientations, rays: ImageRays) -> SortedRays:
@@ -313,7 +326,9 @@ def turned_toward(direction: Array, axis: Array, cosine: Array, angle_rad: Array
     """(n, 3) unit vectors turned toward an axis (n, 3), to which they have a cosine (n,)."""
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
     across = (axis - cosine[:, None] * direction) / sine[:, None]
-    return direction * np.cos(angle_rad)[:, None] + across * np.sin(angle_rad)[:, None]
+    along_direction = direction * np.cos(angle_rad)[:, None]
+    along_across = across * np.sin(angle_rad)[:, None]
+    return along_direction + along_across
 
 
 def ellipsoidal_heights(ecef_m: Array) -> Array:

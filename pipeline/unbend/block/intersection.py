@@ -80,7 +80,9 @@ class Intersection:
     @property
     def sigma_factor(self) -> float:
         """Square root of chi-square over redundancy: 1 where the sigmas are right."""
-        return float(np.sqrt(self.chi_square / self.redundancy)) if self.redundancy else np.nan
+        if self.redundancy == 0:
+            return np.nan
+        return float(np.sqrt(self.chi_square / self.redundancy))
 
     @property
     def most_bad(self) -> float:
@@ -100,18 +102,23 @@ class Intersection:
         """Median height of the stations above the points [m]; mirrored rays meet above them."""
         if not self.used.any():
             return np.inf
-        line = self.orientations.centre_m - self.position_m[self.used].mean(axis=0)
+        middle_m = self.position_m[self.used].mean(axis=0)
+        line = self.orientations.centre_m - middle_m
         up = self.orientations.enu_from_ecef[:, 2]
-        return float(np.nanmedian(np.sum(line * up, axis=1)))
+        height = np.sum(line * up, axis=1)
+        return float(np.nanmedian(height))
 
     @cached_property
     def sigma_height_m(self) -> Array:
         """(p,) what the sigmas of stations and pixels predict for the heights of the points."""
         _, up = heights_and_verticals(self.position_m)
-        step = np.einsum("pij,pj->pi", self.system.half_inverse, np.nan_to_num(up))
+        up = np.nan_to_num(up)
+        step = np.einsum("pij,pj->pi", self.system.half_inverse, up)
         points = self.point.size
-        by_stations = block_matrix(step[:, None, :], np.arange(points), points) @ self.system.Z
-        station_variance = np.asarray(by_stations.multiply(by_stations).sum(1))[:, 0]
+        step_of_points = block_matrix(step[:, None, :], np.arange(points), points)
+        by_stations = step_of_points @ self.system.Z
+        squares = by_stations.multiply(by_stations)
+        station_variance = np.asarray(squares.sum(1))[:, 0]
         variance = np.sum(step**2, axis=1) + station_variance
         return np.where(self.used, np.sqrt(variance), np.nan)
 
@@ -123,9 +130,11 @@ class Intersection:
         that of the sigmas stated; of what nothing shows both are zero.
         """
         scaled = self.in_sigmas(change)
-        normal = scaled.T @ (scaled - self.system.factor.solve(scaled))
+        free = scaled - self.system.factor.solve(scaled)
+        normal = scaled.T @ free
         covariance = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
-        return covariance @ (scaled.T @ self.system.errors), covariance
+        right = scaled.T @ self.system.errors
+        return covariance @ right, covariance
 
     def likely_amounts(self, changes: Array, beside: Array) -> tuple[Array, Array]:
         """What the log likelihood gains (k,) by each change alone, and its amount: least squares.
@@ -135,9 +144,8 @@ class Intersection:
         """
         system = self.system
         count = changes.shape[2]
-        design = np.concatenate(
-            [self.of_changes(changes), system.J @ self.in_sigmas(beside)], axis=1
-        )
+        of_shared = system.J @ self.in_sigmas(beside)
+        design = np.concatenate([self.of_changes(changes), of_shared], axis=1)
         # Normal equations with the points and the single errors of stations taken out.
         free = design - system.Y @ (system.Y.T @ design)
         by_stations = system.J.T @ free
@@ -146,7 +154,8 @@ class Intersection:
 
         # Each change alone, with the shared errors taken out as well.
         cross = normal[:count, count:]
-        to_shared = cross @ np.linalg.pinv(normal[count:, count:], hermitian=True)
+        shared_covariance = np.linalg.pinv(normal[count:, count:], hermitian=True)
+        to_shared = cross @ shared_covariance
         whole = np.diag(normal)[:count]
         square = whole - np.sum(to_shared * cross, axis=1)
         square = np.where(square > MIN_SHARE_LEFT * whole, square, np.inf)
@@ -159,7 +168,8 @@ class Intersection:
         count = changes.shape[2]
         in_sigmas = changes[system.order] / system.sigma[:, None, None]
         of_rays = in_sigmas.reshape(2 * system.order.size, count)
-        of_heights = np.zeros((system.Y.shape[0] - of_rays.shape[0], count))
+        heights = system.Y.shape[0] - of_rays.shape[0]
+        of_heights = np.zeros((heights, count))
         return np.concatenate([of_rays, of_heights])
 
     def in_sigmas(self, change: Array) -> Array:
@@ -169,15 +179,17 @@ class Intersection:
 
     def gain_of(self, decrease: Array) -> Array:
         """What the log likelihood gains where chi-square decreases by a little."""
-        return np.asarray(0.5 * decrease / np.fmax(1.0, self.sigma_factor) ** 2)
+        factor = np.fmax(1.0, self.sigma_factor)
+        return np.asarray(0.5 * decrease / factor**2)
 
     def misses(self, orientations: Orientations, rays: ImageRays) -> Array:
         """(r, 2) what its points are missed by under other orientations or rays [rad]; 0 of bad."""
         good = np.isfinite(self.residual_rad[:, 0])
-        point_m = self.position_m[np.searchsorted(self.point, rays.point)]
-        line = point_m - orientations.centre_m[rays.image]
+        row = np.searchsorted(self.point, rays.point)
+        line = self.position_m[row] - orientations.centre_m[rays.image]
         line /= np.linalg.norm(line, axis=1, keepdims=True)
-        in_camera = np.einsum("rij,rj->ri", orientations.camera_from_ecef[rays.image], line)
+        camera_from_ecef = orientations.camera_from_ecef[rays.image]
+        in_camera = np.einsum("rij,rj->ri", camera_from_ecef, line)
         miss = -np.einsum("rij,rj->ri", axes_across(rays.direction), in_camera)
         return np.where(good[:, None], miss, 0.0)
 
@@ -268,8 +280,8 @@ def misfit_of(chi_square: float, redundancy: int) -> float:
 
 def log_determinant_of_images(system: ReducedSystem) -> float:
     """Sum over the images of log det (I + J'J), each by itself."""
-    blocks = system.JJ.tobsr((6, 6)).data + np.eye(6)
-    _, log_determinant = np.linalg.slogdet(blocks)
+    blocks = system.JJ.tobsr((6, 6)).data
+    _, log_determinant = np.linalg.slogdet(blocks + np.eye(6))
     return float(log_determinant.sum())
 
 
@@ -310,7 +322,9 @@ def contradicting_rays(by_point: SortedRays, fit: PointFit) -> Mask:
     enough = fit.count >= 2
     freedom = np.maximum(2 * fit.count - 3, 1)
     over_median = square_of_point[enough] / chdtri(freedom[enough], 0.5)
-    usual = max(1.0, float(np.median(over_median))) if over_median.size else 1.0
+    usual = 1.0
+    if over_median.size:
+        usual = max(usual, float(np.median(over_median)))
 
     half = fit.system.Y.data[: 6 * by_point.sigma.size].reshape(-1, 2, 3)
     free = (1.0 + 1e-9) * np.eye(2) - half @ np.swapaxes(half, 1, 2)
@@ -328,7 +342,8 @@ def log_width_of_bad(by_point: SortedRays) -> float:
     """How much wider than its sigma a bad ray may lie, as a natural logarithm."""
     if by_point.sigma.size == 0:
         return 0.0
-    return float(np.log(WIDTH_OF_BAD_RAD / np.median(by_point.sigma)))
+    usual_sigma = np.median(by_point.sigma)
+    return float(np.log(WIDTH_OF_BAD_RAD / usual_sigma))
 
 
 LARGEST_MISS = 6.0
@@ -404,7 +419,8 @@ class WeightedPoints:
     def variance_along(self, axis: Array) -> Array:
         """(p,) variances along unit vectors (p, 3)."""
         spread = np.linalg.solve(self.normal, axis[..., None])[..., 0]
-        return np.asarray(np.sum(axis * spread, axis=1), np.float64)
+        variance = np.sum(axis * spread, axis=1)
+        return np.asarray(variance, np.float64)
 
 
 def points_with_stations(
@@ -415,11 +431,14 @@ def points_with_stations(
     misses = by_point.misses(orientations, position, good)
     A = misses.point_derivatives
     J = misses.station_derivatives
-    weight = np.linalg.inv(np.eye(2) + J @ np.swapaxes(J, 1, 2))
+    covariance = np.eye(2) + J @ np.swapaxes(J, 1, 2)
+    weight = np.linalg.inv(covariance)
     A_weighted = np.swapaxes(A, 1, 2) @ weight
     normal = with_ridge(by_point.sums(A_weighted @ A))
     right = by_point.sums(A_weighted @ misses.miss[..., None])
     step = np.linalg.solve(normal, right)[..., 0]
-    miss = misses.miss - np.einsum("rij,rj->ri", A, step[by_point.index])
-    chi_square = by_point.sums(np.einsum("ri,rij,rj->r", miss, weight, miss))
+    by_step = np.einsum("rij,rj->ri", A, step[by_point.index])
+    miss = misses.miss - by_step
+    square_of_rays = np.einsum("ri,rij,rj->r", miss, weight, miss)
+    chi_square = by_point.sums(square_of_rays)
     return WeightedPoints(position=position + step, normal=normal, chi_square=chi_square)

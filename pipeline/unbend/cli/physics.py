@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 DEFAULT_ATMOSPHERE = "us1976"
 DEFAULT_METHOD = "spherical"
+DEFAULT_INDEX = "ciddor"
 ACCURACY = "accuracy"  # stands for a paper: all published methods compared
 
 
@@ -29,6 +30,40 @@ def _methods() -> list[str]:
 def _atmospheres() -> list[str]:
     """Names that a shell completes; imported when it asks."""
     return list(import_module("unbend.atmosphere.standard").ATMOSPHERES)
+
+
+CameraHeights = Annotated[
+    list[float],
+    Option(help="metres above sea level; for a table it can be given several times"),
+]
+NadirAngle = Annotated[
+    float | None,
+    Option(help="apparent nadir angle, degrees, 0 to 180; without it: a table"),
+]
+StandardName = Annotated[
+    str | None,
+    Option(help="name of a standard atmosphere, by default us1976", autocompletion=_atmospheres),
+]
+MethodName = Annotated[
+    str,
+    Option(help="how the ray is computed, see below", autocompletion=_methods),
+]
+Wavelength = Annotated[
+    float | None,
+    Option(help="of the light in vacuum, metres, by default 0.55e-6"),
+]
+SlantRange = Annotated[
+    float | None,
+    Option(help="slant range, metres: it decides between two crossings (spherical)"),
+]
+MissionOfTable = Annotated[
+    Path | None,
+    Option(help="of a table: a mission file, for the air of its flight"),
+]
+CameraOfMission = Annotated[
+    str | None,
+    Option(help="with --config: the name of the camera that gives the wavelength"),
+]
 
 
 class _AngleCommand(TyperCommand):
@@ -52,38 +87,17 @@ class _AngleCommand(TyperCommand):
 def angle(
     answer: Answer,
     *,
-    camera_height: Annotated[
-        list[float],
-        Option(help=("metres above sea level; for a table it can be given several times")),
-    ],
+    camera_height: CameraHeights,
     ground_height: Annotated[float, Option(help="metres above sea level")],
-    nadir_angle: Annotated[
-        float | None, Option(help="apparent nadir angle, degrees, 0 to 180; without it: a table")
-    ] = None,
-    atmosphere: Annotated[
-        str | None,
-        Option(
-            help="name of a standard atmosphere, by default us1976", autocompletion=_atmospheres
-        ),
-    ] = None,
-    method: Annotated[
-        str, Option(help="how the ray is computed, see below", autocompletion=_methods)
-    ] = DEFAULT_METHOD,
-    index: Annotated[str, Option(help="ciddor or gyer (Eq. 13)")] = "ciddor",
-    wavelength: Annotated[
-        float | None, Option(help="of the light in vacuum, metres, by default 0.55e-6")
-    ] = None,
+    nadir_angle: NadirAngle = None,
+    atmosphere: StandardName = None,
+    method: MethodName = DEFAULT_METHOD,
+    index: Annotated[str, Option(help="ciddor or gyer (Eq. 13)")] = DEFAULT_INDEX,
+    wavelength: Wavelength = None,
     radius: Annotated[float, Option(help="radius of the earth, metres")] = 6_371_000.0,
-    distance: Annotated[
-        float | None,
-        Option(help="slant range, metres: it decides between two crossings (spherical)"),
-    ] = None,
-    config: Annotated[
-        Path | None, Option(help="of a table: a mission file, for the air of its flight")
-    ] = None,
-    camera: Annotated[
-        str | None, Option(help="with --config: the name of the camera that gives the wavelength")
-    ] = None,
+    distance: SlantRange = None,
+    config: MissionOfTable = None,
+    camera: CameraOfMission = None,
     focal_px: Annotated[float | None, Option(help="of a table: principal distance, pixels")] = None,
     max_angle: Annotated[float, Option(help="of a table: largest nadir angle, degrees")] = 60.0,
     step: Annotated[float, Option(min=0.01, help="of a table: degrees between rows")] = 5.0,
@@ -97,8 +111,7 @@ def angle(
     straight one is above the horizon.
     """
     if nadir_angle is None:
-        if method != DEFAULT_METHOD or index != "ciddor" or distance is not None:
-            raise messages.angle_options(options="--method, --index, --distance", other="one angle")
+        refuse_options_of_one_angle(method, index, distance)
         print_table_of_angles(
             answer,
             camera_height,
@@ -113,20 +126,17 @@ def angle(
             radius=radius,
             csv=csv,
         )
-    of_table = (config, camera, focal_px, csv)
-    if len(camera_height) > 1 or any(value is not None for value in of_table):
-        raise messages.angle_options(
-            options="several heights, --config, --camera, --focal-px, --csv", other="a table"
-        )
+    refuse_options_of_table(camera_height, config, camera, focal_px, csv)
     with answer.progress("tracing the ray"):
         from unbend.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
         from unbend.refraction.angle import one_angle
         from unbend.report.air_and_rays import print_angle
 
-        light = IndexModel(index, DEFAULT_WAVELENGTH_M if wavelength is None else wavelength)
+        if wavelength is None:
+            wavelength = DEFAULT_WAVELENGTH_M
         result = one_angle(
             atmosphere=atmosphere or DEFAULT_ATMOSPHERE,
-            index=light,
+            index=IndexModel(index, wavelength),
             camera_height=camera_height[0],
             ground_height=ground_height,
             nadir_angle=nadir_angle,
@@ -136,6 +146,27 @@ def angle(
         )
     answer.print_json(result)
     print_angle(answer.console, result)
+
+
+def refuse_options_of_one_angle(method: str, index: str, distance: float | None) -> None:
+    """Refuse (ANGLE-ARGUMENTS) what a table of angles cannot have."""
+    if method != DEFAULT_METHOD or index != DEFAULT_INDEX or distance is not None:
+        raise messages.angle_options(options="--method, --index, --distance", other="one angle")
+
+
+def refuse_options_of_table(
+    camera_heights: list[float],
+    config: Path | None,
+    camera: str | None,
+    focal_px: float | None,
+    csv: Path | None,
+) -> None:
+    """Refuse (ANGLE-ARGUMENTS) what one angle cannot have."""
+    of_table = (config, camera, focal_px, csv)
+    if len(camera_heights) > 1 or any(value is not None for value in of_table):
+        raise messages.angle_options(
+            options="several heights, --config, --camera, --focal-px, --csv", other="a table"
+        )
 
 
 def print_table_of_angles(

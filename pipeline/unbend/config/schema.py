@@ -1,7 +1,7 @@
 """The JSON schema of mission files and campaign files."""
 
-import json
 import typing
+from copy import deepcopy
 from functools import cache
 from typing import Any
 
@@ -36,9 +36,26 @@ def all_sections(annotation: object = Mission | CampaignFile) -> dict[str, type[
     return sections
 
 
-@cache
 def mission_schema() -> Node:
-    """The JSON schema (draft 7) of a mission file, without what depends on several keys at once."""
+    """The JSON schema (draft 7) of a mission file, without what depends on several keys at once.
+
+    It is a copy, which the caller may change.
+    """
+    return deepcopy(_schema_of_missions())
+
+
+def campaign_schema() -> Node:
+    """The JSON schema (draft 7) of a campaign file; a copy, which the caller may change.
+
+    No key of a mission is required in it: the defaults of the campaign may state what a mission
+    leaves out, and the missions what the defaults leave out.
+    """
+    return deepcopy(_schema_of_campaigns())
+
+
+@cache
+def _schema_of_missions() -> Node:
+    """As `mission_schema`, made once."""
     schema = _in_order(Mission.model_json_schema(), Mission)
     path_alone = {"type": "string", "minLength": 1, "pattern": PATH}
     schema["properties"]["control"]["anyOf"].append(path_alone)
@@ -46,14 +63,10 @@ def mission_schema() -> Node:
 
 
 @cache
-def campaign_schema() -> Node:
-    """The JSON schema (draft 7) of a campaign file.
-
-    No key of a mission is required in it: the defaults of the campaign may state what a mission
-    leaves out, and the missions what the defaults leave out.
-    """
+def _schema_of_campaigns() -> Node:
+    """As `campaign_schema`, made once."""
     schema = _in_order(CampaignFile.model_json_schema(), CampaignFile)
-    mission = json.loads(json.dumps(mission_schema()))  # a copy: the cached one stays as it is
+    mission = mission_schema()
     draft = mission.pop("$schema")
     definitions = mission.pop("$defs")
     definitions["Mission"] = mission
@@ -108,9 +121,9 @@ def alternatives(node: Node) -> list[Node]:
 
 def _definition(name: str) -> Node:
     """The schema of a section, by the name of its class."""
-    definitions: Node = mission_schema()["$defs"]
+    definitions: Node = _schema_of_missions()["$defs"]
     if name not in definitions:
-        definitions = campaign_schema()["$defs"]
+        definitions = _schema_of_campaigns()["$defs"]
     definition: Node = definitions[name]
     return definition
 
@@ -120,9 +133,9 @@ def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
 
     There are several where a value may be of several kinds.
     """
-    nodes = [mission_schema()]
+    nodes = [_schema_of_missions()]
     if keys and keys[0] in CampaignFile.model_fields:
-        nodes = [campaign_schema()]
+        nodes = [_schema_of_campaigns()]
     for key in keys:
         inner: list[Node] = []
         for node in nodes:

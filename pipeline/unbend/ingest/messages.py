@@ -91,8 +91,8 @@ LOG_FORMAT = Code(
     means="The file is not a log of a known format, or has another format than its ending states.",
     effect="The log is refused.",
     remedy=(
-        "Give a .bin, .log, .tlog, .mcap or .ulg. The refusal states how to rename or convert the "
-        "file."
+        "Give a .bin, .log, .tlog, .rlog, .mcap or .ulg. The refusal states how to rename or "
+        "convert the file."
     ),
 )
 

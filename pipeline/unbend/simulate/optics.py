@@ -58,10 +58,13 @@ class Medium(Protocol):
 
 def to_ecef(lat_rad: Array, lon_rad: Array, h_ellipsoid_m: Array) -> Array:
     """Earth-centred coordinates (..., 3) [m] of WGS84 latitude, longitude [rad], height [m]."""
-    normal = WGS84_A / np.sqrt(1.0 - _E2 * np.sin(lat_rad) ** 2)
+    sin_lat = np.sin(lat_rad)
+    normal = WGS84_A / np.sqrt(1.0 - _E2 * sin_lat**2)
     across = (normal + h_ellipsoid_m) * np.cos(lat_rad)
-    z = (normal * (1.0 - _E2) + h_ellipsoid_m) * np.sin(lat_rad)
-    return np.stack([across * np.cos(lon_rad), across * np.sin(lon_rad), z], axis=-1)
+    x = across * np.cos(lon_rad)
+    y = across * np.sin(lon_rad)
+    z = (normal * (1.0 - _E2) + h_ellipsoid_m) * sin_lat
+    return np.stack([x, y, z], axis=-1)
 
 
 def height_and_up(ecef_m: Array) -> tuple[Array, Array]:
@@ -77,7 +80,9 @@ def height_and_up(ecef_m: Array) -> tuple[Array, Array]:
     for _ in range(2):
         cos_beta = 1.0 / np.sqrt(1.0 + tan_beta**2)
         sin_beta = tan_beta * cos_beta
-        tan_lat = (z + _EP2 * _B * sin_beta**3) / (p - _E2 * WGS84_A * cos_beta**3)
+        rise = z + _EP2 * _B * sin_beta**3
+        run = p - _E2 * WGS84_A * cos_beta**3
+        tan_lat = rise / run
         tan_beta = (1.0 - WGS84_F) * tan_lat
     cos_lat = 1.0 / np.sqrt(1.0 + tan_lat**2)
     sin_lat = tan_lat * cos_lat
@@ -100,7 +105,8 @@ def enu_axes(lat_rad: Array, lon_rad: Array) -> Array:
 
 def unit(vectors: Array) -> Array:
     """Vectors (..., 3) scaled to length one."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / length)
 
 
 def ray_ends(
@@ -119,15 +125,18 @@ def ray_ends(
         offset, ray = state.reshape(2, count, 3)
         height, up = height_and_up(start_m + offset)
         h_msl = height - undulation_m
-        offset_slope = ray * (length_m / air.n(h_msl))[:, None]
-        ray_slope = up * (air.dn_dh(h_msl) * length_m)[:, None]
+        by_ray = length_m / air.n(h_msl)
+        by_up = air.dn_dh(h_msl) * length_m
+        offset_slope = ray * by_ray[:, None]
+        ray_slope = up * by_up[:, None]
         return np.concatenate([offset_slope.ravel(), ray_slope.ravel()])
 
     ray = direction * n_start[:, None]
+    no_offset = np.zeros(3 * count)
     solution = solve_ivp(
         slope,
         (0.0, 1.0),
-        np.concatenate([np.zeros(3 * count), ray.ravel()]),
+        np.concatenate([no_offset, ray.ravel()]),
         method="DOP853",
         t_eval=[1.0],
         rtol=RAY_TOLERANCE,
@@ -160,20 +169,26 @@ def shoot(air: Medium, camera_m: Array, ground_m: Array, undulation_m: float) ->
     miss = np.full(len(chord), np.inf)
     for _ in range(MAX_AIMS):
         length = np.linalg.norm(aim, axis=-1)
-        error = chord - ray_ends(air, camera_m, unit(aim), length, undulation_m)
+        reached = ray_ends(air, camera_m, unit(aim), length, undulation_m)
+        error = chord - reached
         miss = np.linalg.norm(error, axis=-1)
         if float(miss.max(initial=0.0)) < AIM_TOLERANCE_M:
             break
         aim = aim + error
     apparent = unit(aim)
     straight = unit(chord)
-    sine = np.linalg.norm(np.cross(apparent, straight), axis=-1)
+    normal = np.cross(apparent, straight)
+    sine = np.linalg.norm(normal, axis=-1)
     cosine = np.sum(apparent * straight, axis=-1)
     angle = np.arctan2(sine, cosine)
     _, up = height_and_up(camera_m)
-    lifted = np.sum((apparent - straight) * up, axis=-1) >= 0.0
-    r_c = np.where(lifted, angle, -angle)
-    return TracedRays(apparent=apparent, straight=straight, r_c_rad=r_c, miss_m=miss)
+    lift = np.sum((apparent - straight) * up, axis=-1)
+    return TracedRays(
+        apparent=apparent,
+        straight=straight,
+        r_c_rad=np.where(lift >= 0.0, angle, -angle),
+        miss_m=miss,
+    )
 
 
 @dataclass(frozen=True)
@@ -199,7 +214,8 @@ class SimulatedCamera:
 
     def from_body(self) -> Array:
         """Rotation (3, 3): v_camera = R v_body."""
-        mount = body_rotation(*np.radians([self.roll_deg, self.pitch_deg, self.yaw_deg]))
+        angles_rad = np.radians([self.roll_deg, self.pitch_deg, self.yaw_deg])
+        mount = body_rotation(*angles_rad)
         return np.asarray(CAMERA_FROM_BODY @ mount.T)
 
     def project(self, rays: Array) -> tuple[Array, Array]:
@@ -212,8 +228,12 @@ class SimulatedCamera:
         y = rays[..., 1] / rays[..., 2]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        x_distorted = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-        y_distorted = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        x_distorted = x * radial
+        x_distorted += 2.0 * p1 * x * y
+        x_distorted += p2 * (r2 + 2.0 * x * x)
+        y_distorted = y * radial
+        y_distorted += p1 * (r2 + 2.0 * y * y)
+        y_distorted += 2.0 * p2 * x * y
         x_px = self.focal_px * x_distorted + self.cx_px
         y_px = self.focal_px * y_distorted + self.cy_px
         return x_px, y_px
@@ -222,10 +242,13 @@ class SimulatedCamera:
         """Which rays (n, 3) fall on the sensor, a margin inside its edge."""
         # The distortion polynomial folds far rays back onto the sensor: first without the lens.
         reach = 0.6 * np.array([self.width_px, self.height_px]) / self.focal_px
-        near = np.all(np.abs(rays[..., :2]) < reach * rays[..., 2:], axis=-1)
+        forward = rays[..., 2:]
+        aside = np.abs(rays[..., :2])
+        near = np.all(aside < reach * forward, axis=-1)
         ahead = near & (rays[..., 2] > 0.0)
         straight_ahead = np.array([0.0, 0.0, 1.0])
-        x_px, y_px = self.project(np.where(ahead[..., None], rays, straight_ahead))
+        rays_ahead = np.where(ahead[..., None], rays, straight_ahead)
+        x_px, y_px = self.project(rays_ahead)
         half_width = 0.5 * self.width_px
         half_height = 0.5 * self.height_px
         inside_x = np.abs(x_px - half_width) < half_width - margin_px
@@ -309,7 +332,8 @@ def through_window(rays: Array, n_outside: Array, n_cabin: Array) -> tuple[Array
     """
     ratio = np.asarray(n_outside / n_cabin)
     across = rays[..., :2] * ratio[..., None]
-    along = np.sqrt(1.0 - np.sum(across**2, axis=-1))
+    sine_squared = np.sum(across**2, axis=-1)
+    along = np.sqrt(1.0 - sine_squared)
     inside = np.concatenate([across, along[..., None]], axis=-1)
     sin_a = np.hypot(rays[..., 0], rays[..., 1])
     # sin(zeta_a - zeta_f), without subtracting angles that agree to five digits.

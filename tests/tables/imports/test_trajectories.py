@@ -440,6 +440,48 @@ def test_a_csv_has_its_times_in_any_of_five_forms(flight, times, settings, mark)
 
 
 @pytest.mark.parametrize(
+    ("times", "settings"),
+    [
+        (seconds_of_week, OF_WEEK),
+        (seconds_since_1980, GPST),
+        (seconds_since_1970, UTC),
+    ],
+)
+def test_a_time_of_minus_one_is_unknown_and_moves_no_other(flight, times, settings):
+    """From Wednesday noon on, the step back to -1 looks as if a new week began."""
+    flight = flight.at_times(flight.t + 1000.0)
+    stated_times = times(flight)
+    unknown_row = 1
+    stated_times[unknown_row] = "-1"
+    path = write_csv(flight, "t,lon,lat,h", *flight.places, times=stated_times)
+
+    channel, ledger = read(read_trajectory_csv, path, replace(settings, columns=PLACES))
+
+    known_ns = np.delete(flight.utc_ns, unknown_row)
+    assert np.abs(channel.time_ns - known_ns).max() < 1000
+    assert [entry.count for entry in with_code(ledger, "IMPORT-ROWS")] == [1]
+
+
+@pytest.mark.parametrize(("week", "seconds"), [("-1", "302400"), (f"{WEEK}", "-1"), ("-1", "-1")])
+def test_a_week_or_seconds_of_minus_one_are_unknown(flight, week, seconds):
+    rows = [
+        f"{WEEK},{time},{flight.lon[k]},{flight.lat[k]},{flight.height[k]}"
+        for k, time in enumerate(seconds_of_week(flight))
+    ]
+    unknown_row = 1
+    place = rows[unknown_row].split(",", 2)[2]
+    rows[unknown_row] = f"{week},{seconds},{place}"
+    path = flight.put("t.csv", "\n".join(["w,t,lon,lat,h", *rows]) + "\n")
+
+    settings = replace(GPST, columns=PLACES | {"week": "w"})
+    channel, ledger = read(read_trajectory_csv, path, settings)
+
+    known_ns = np.delete(flight.utc_ns, unknown_row)
+    assert np.abs(channel.time_ns - known_ns).max() < 1000
+    assert [entry.count for entry in with_code(ledger, "IMPORT-ROWS")] == [1]
+
+
+@pytest.mark.parametrize(
     ("unit", "circle", "order"),
     [
         ("deg", 360.0, "ZYX"),

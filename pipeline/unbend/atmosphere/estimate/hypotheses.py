@@ -95,7 +95,13 @@ def hypotheses_of(layout: Layout, rare_faults: Sequence[RareFault]) -> list[Hypo
         faults = tuple(_fault_as_rare(fault, rare) for fault in layout.faults)
         drifts = tuple(_drift_as_rare(drift, rare) for drift in layout.drifts)
         with_fault = replace(layout, faults=faults, drifts=drifts)
-        hypotheses.append(Hypothesis(rare.name, rare.share, with_fault, rare.is_linear))
+        hypothesis = Hypothesis(
+            name=rare.name,
+            share=rare.share,
+            layout=with_fault,
+            is_linear=rare.is_linear,
+        )
+        hypotheses.append(hypothesis)
     return hypotheses
 
 
@@ -120,7 +126,8 @@ def prior_sigmas(hypotheses: Sequence[Hypothesis]) -> dict[SensorFault, float]:
     variances = dict.fromkeys((fault.name for fault in usual), 0.0)
     for hypothesis in hypotheses:
         for fault, expected in zip(hypothesis.layout.faults, usual, strict=True):
-            square = fault.sigma**2 + (fault.mean - expected.mean) ** 2
+            beyond_usual = fault.mean - expected.mean
+            square = fault.sigma**2 + beyond_usual**2
             variances[fault.name] += hypothesis.share * square
     return {name: float(np.sqrt(variance)) for name, variance in variances.items()}
 
@@ -151,7 +158,8 @@ def probabilities(solved: Sequence[Evidence], sets: Sequence[Readings]) -> NDArr
     best = min(solved, key=lambda evidence: evidence.log_sigma)
     logs = np.zeros(len(solved))
     for number, evidence in enumerate(solved):
-        logs[number] = np.log(evidence.share) + _log_likelihood(evidence, sets, best.weights)
+        log_likelihood = _log_likelihood(evidence, sets, best.weights)
+        logs[number] = np.log(evidence.share) + log_likelihood
     chances = np.exp(logs - logs.max())
     chances /= chances.sum()
     has_temperature = any(readings.quantity == "temperature" for readings in sets)

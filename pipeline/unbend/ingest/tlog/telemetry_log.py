@@ -1,4 +1,4 @@
-"""MAVLink telemetry logs (.tlog): frames -> channels in UTC."""
+"""MAVLink telemetry logs (.tlog, .rlog): frames -> channels in UTC."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -59,20 +59,27 @@ def distort(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any]:
     p = parameters
     s = u + p.offset_u
     t = v + p.offset_v
+    steps = int(p.steps)
+    if p.sense > 0.0:
+        steps = 1
     x = s
     y = t
-    for _ in range(1 if p.sense > 0.0 else int(p.steps)):
+    for _ in range(steps):
         r2 = x * x + y * y
         above = p.k0 + r2 * (p.k1 + r2 * (p.k2 + r2 * (p.k3 + r2 * p.k4)))
         below = r2 * (p.q1 + r2 * (p.q2 + r2 * p.q3))
         q_less_1 = (above - below) / (1.0 + below)
-        dx = x * q_less_1 + p.px * (r2 + 2.0 * x * x) + 2.0 * p.py * x * y
-        dy = y * q_less_1 + p.py * (r2 + 2.0 * y * y) + 2.0 * p.px * x * y
+        dx = x * q_less_1
+        dx += p.px * (r2 + 2.0 * x * x)
+        dx += 2.0 * p.py * x * y
+        dy = y * q_less_1
+        dy += p.py * (r2 + 2.0 * y * y)
+        dy += 2.0 * p.px * x * y
         x = s + p.sense * dx
         y = t + p.sense * dy
-    u_d = x - p.offset_u + p.skew_x * (y - p.offset_v)
-    v_d = y - p.offset_v + p.skew_y * (x - p.offset_u)
-    return u_d, v_d
+    u_of_lens = x - p.offset_u
+    v_of_lens = y - p.offset_v
+    return u_of_lens + p.skew_x * v_of_lens, v_of_lens + p.skew_y * u_of_lens
 
 
 def slopes(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any, Any]:
@@ -83,13 +90,20 @@ def slopes(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any, Any]:
     p = parameters
     s = u + p.offset_u
     t = v + p.offset_v
+    steps = int(p.steps)
+    if p.sense > 0.0:
+        steps = 0
     x = s
     y = t
-    for _ in range(0 if p.sense > 0.0 else int(p.steps)):  # a correction has no denominator
+    for _ in range(steps):  # a correction has no denominator
         r2 = x * x + y * y
         q_less_1 = p.k0 + r2 * (p.k1 + r2 * (p.k2 + r2 * (p.k3 + r2 * p.k4)))
-        dx = x * q_less_1 + p.px * (r2 + 2.0 * x * x) + 2.0 * p.py * x * y
-        dy = y * q_less_1 + p.py * (r2 + 2.0 * y * y) + 2.0 * p.px * x * y
+        dx = x * q_less_1
+        dx += p.px * (r2 + 2.0 * x * x)
+        dx += 2.0 * p.py * x * y
+        dy = y * q_less_1
+        dy += p.py * (r2 + 2.0 * y * y)
+        dy += 2.0 * p.px * x * y
         x = s - dx
         y = t - dy
     r2 = x * x + y * y
@@ -98,9 +112,15 @@ def slopes(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any, Any]:
     above_slope = p.k1 + r2 * (2.0 * p.k2 + r2 * (3.0 * p.k3 + 4.0 * r2 * p.k4))
     below_slope = p.q1 + r2 * (2.0 * p.q2 + 3.0 * r2 * p.q3)
     twice_q_slope = 2.0 * (above_slope - q * below_slope) / below  # 2 dq/d(r^2)
-    uu = q + x * x * twice_q_slope + 6.0 * p.px * x + 2.0 * p.py * y
-    uv = x * y * twice_q_slope + 2.0 * p.px * y + 2.0 * p.py * x
-    vv = q + y * y * twice_q_slope + 6.0 * p.py * y + 2.0 * p.px * x
+    uu = q + x * x * twice_q_slope
+    uu += 6.0 * p.px * x
+    uu += 2.0 * p.py * y
+    uv = x * y * twice_q_slope
+    uv += 2.0 * p.px * y
+    uv += 2.0 * p.py * x
+    vv = q + y * y * twice_q_slope
+    vv += 6.0 * p.py * y
+    vv += 2.0 * p.px * x
     if p.sense > 0.0:
         return uu, uv, vv
     inverse = 1.0 / (uu * vv - uv * uv)
@@ -125,7 +145,9 @@ def largest_radius(parameters: GeneralFrame) -> float:
         grows_to = first_root(correction_slope - _STEEPEST)
         falls_to = first_root(correction_slope + _STEEPEST)
         r = min(grows_to, falls_to)
-        reached = r * float(above(r * r)) if r < np.inf else np.inf
+        reached = np.inf
+        if r < np.inf:
+            reached = r * float(above(r * r))
     else:
         # Where d(r above / below)/dr = 0, or where the denominator is.
         turns = slope_above * below - 2.0 * square * above * below.deriv()

@@ -145,11 +145,13 @@ def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
     height = edge[:-1, None] + half * (1.0 + _CHEBYSHEV)
     coefficient = profile.refractivity(height) @ _TO_COEFFICIENTS.T
     slope = np.polynomial.chebyshev.chebder(coefficient, axis=1) / half
+    # Of one degree less: a last coefficient of 0.
+    as_many_coefficients = np.pad(slope, ((0, 0), (0, 1)))
     return Pieces(
         edge_m=edge,
         height_m=height,
         coefficient=coefficient,
-        slope=np.pad(slope, ((0, 0), (0, 1))),
+        slope=as_many_coefficients,
     )
 
 
@@ -203,7 +205,8 @@ def _weights_of_nodes(rays: Rays, integrals: _Integrals, by_theta: Array, camera
     weight = (scale[:, None, None] * integrals.moments) @ _TO_COEFFICIENTS
     by_camera = scale * integrals.by_s / (1.0 + camera.refractivity)
     rows = np.arange(scale.size)
-    weight[rows, camera.piece] -= by_camera[:, None] * camera.polynomials @ _TO_COEFFICIENTS
+    by_polynomials = by_camera[:, None] * camera.polynomials
+    weight[rows, camera.piece] -= by_polynomials @ _TO_COEFFICIENTS
     return weight.reshape(scale.size, -1)
 
 
@@ -220,7 +223,10 @@ def _limit_of_short_rays(rays: Rays, gradient_c: Array) -> tuple[Array, Array, A
     fall = rays.h_c - rays.h_g
     tan_c = np.tan(rays.zeta_c)
     half = 0.5 * gradient_c
-    return -tan_c * half, tan_c * half, -(1.0 + tan_c * tan_c) * half * fall
+    by_h_c = -tan_c * half
+    by_h_g = tan_c * half
+    by_zeta_c = -(1.0 + tan_c * tan_c) * half * fall
+    return by_h_c, by_h_g, by_zeta_c
 
 
 def _basis(u: Array) -> Array:
@@ -265,7 +271,8 @@ def _air_at(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> _Air:
     """
     low = pieces.edge_m[:-1, None]
     high = pieces.edge_m[1:, None]
-    u = np.clip(2.0 * (h - low) / (high - low) - 1.0, -1.0, 1.0)
+    u = 2.0 * (h - low) / (high - low) - 1.0
+    u = np.clip(u, -1.0, 1.0)
     basis = _basis(u)
     refractivity = np.einsum("pa,abpj->bpj", pieces.coefficient, basis)
     h_c = rays.h_c[:, None, None]
@@ -364,7 +371,8 @@ def _by_target_height(pieces: Pieces, rays: Rays, n_c: Array, chord: _Chord) -> 
     fall = rays.h_c - rays.h_g
     excess = np.maximum(by_air - fall + _lift(rays), LEVEL_GUARD_M)
     down = np.copysign(1.0, np.cos(rays.zeta_c))
-    cos_g = down * np.sqrt(excess * (excess + 2.0 * s)) / (excess + s)
+    root = np.sqrt(excess * (excess + 2.0 * s))
+    cos_g = down * root / (excess + s)
     half = 0.5 * rays.r_c
     turned = 2.0 * r_c * np.cos(rays.zeta_c - half) * np.sin(half)
     sine_difference = (s * (n_g - n_c) / (1.0 + n_g) - turned) / r_g

@@ -91,13 +91,13 @@ class Stated:
         """UTC of seconds of a week that the file does not name.
 
         It is the stated one, or that in which most of the file lies within the log. Seconds that
-        begin anew belong to the next week.
+        begin anew belong to the next week. 0 where they are unknown: NaN or negative.
         """
-        without_gaps = pd.Series(seconds).ffill().bfill().fillna(0.0)
-        second_of_week = np.asarray(without_gaps, np.float64)
-        steps = np.diff(second_of_week, prepend=second_of_week[:1])
+        known_seconds = np.where(seconds >= 0.0, seconds, np.nan)
+        without_gaps = np.asarray(pd.Series(known_seconds).ffill().bfill(), np.float64)
+        steps = np.diff(without_gaps, prepend=without_gaps[:1])
         begins_anew = steps < -SECONDS_PER_WEEK / 2
-        seconds = second_of_week + SECONDS_PER_WEEK * np.cumsum(begins_anew)
+        seconds = known_seconds + SECONDS_PER_WEEK * np.cumsum(begins_anew)
         if self.week is not None:
             return utc_of_weeks(self.week, seconds, system)
         if self.around_ns is None:

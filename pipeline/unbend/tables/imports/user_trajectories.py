@@ -278,22 +278,20 @@ def _utc(
 ) -> tuple[TimeArray, Mask]:
     """UTC of the rows, and which have a readable time."""
     system = stated.system_of(path, ledger)
-    seconds = value["time"]
-    is_number = np.isfinite(seconds)
-    if not bool(is_number.any()):
+    is_time = value["time"] >= 0.0  # -1 stands for an unknown time
+    seconds = np.where(is_time, value["time"], np.nan)
+    if not bool(is_time.any()):
         has_zone = text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$")
         if system == "gpst" and bool(has_zone.any()):
             raise messages.gps_time_with_zone(where=path, time=text.iloc[0])
         return utc_of_dates(text, system)
     if "week" in value:
         time_ns = utc_of_weeks(value["week"], seconds, system)
-        return time_ns, is_number & np.isfinite(value["week"])
+        return time_ns, is_time & (value["week"] >= 0)
     if float(np.nanmedian(seconds)) < _SINCE_EPOCH_S:
-        return stated.utc_of_week_seconds(path, seconds, system), is_number
-    seconds_or_0 = np.where(is_number, seconds, 0.0)
+        return stated.utc_of_week_seconds(path, seconds, system), is_time
     if system == "gpst":
-        week, second_of_week = np.divmod(seconds_or_0, SECONDS_PER_WEEK)
-        return utc_of_weeks(week, second_of_week, system), is_number
-    is_time = is_number & (seconds >= 0.0)  # -1 stands for an unknown time
+        week, second_of_week = np.divmod(seconds, SECONDS_PER_WEEK)
+        return utc_of_weeks(week, second_of_week, system), is_time
     time_us = np.rint(np.where(is_time, seconds, 0.0) * 1e6)
     return whole_numbers(time_us, -_LAST_US, _LAST_US) * 1000, is_time
