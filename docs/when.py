@@ -113,7 +113,7 @@ nadir, calibrated in flight at 6 km|calibrated here|never correct on top of it
 """Blocks of the summary, their cases, and what to do."""
 
 LENS = (
-    "| besides, the air in the lens: calibrated on the ground at 20 °C (not simulated) "
+    "| in addition, the air in the lens: calibrated on the ground at 20 °C (not simulated) "
     "| 0.8 to 1.9 | a quarter of it | state the air of the calibration |"
 )
 """The row of the summary that Meier's figures give: docs/pages/guide/lens.md."""

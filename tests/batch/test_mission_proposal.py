@@ -459,13 +459,13 @@ def tlog_with_a_still_barometer(path: Path, highest_m: float) -> Path:
     return path
 
 
-@pytest.mark.parametrize("highest_m", [2000.0, 4000.0])
-def test_below_3_km_a_second_barometer_proposes_no_window(tmp_path, highest_m):
+@pytest.mark.parametrize("highest_m", [1500.0, 4000.0])
+def test_below_2_km_a_second_barometer_proposes_no_window(tmp_path, highest_m):
     log = tlog_with_a_still_barometer(tmp_path / "flight.tlog", highest_m)
 
     text = propose_mission(log, None, None, tmp_path / "mission.yaml")
 
-    is_high = highest_m > 3000.0
+    is_high = highest_m > 2000.0
     assert ("window: TODO" in text) == is_high
     assert ("SCALED_PRESSURE2 is in a closed compartment" in text) == is_high
     assert ("SCALED_PRESSURE2 is not used: it does not follow the height" in text) != is_high
@@ -477,11 +477,11 @@ def test_below_3_km_a_second_barometer_proposes_no_window(tmp_path, highest_m):
     [
         ([], 6000.0, "", ""),
         (["BARO[1]"], 6000.0, "BARO[1]", "BARO[1] is in a closed compartment"),
-        (["BARO[1]"], 3000.0, "BARO[1]", "BARO[1] is in a closed compartment"),
-        (["BARO[1]"], 2999.0, "", "BARO[1] is not used: it does not follow the height"),
+        (["BARO[1]"], 2000.0, "BARO[1]", "BARO[1] is in a closed compartment"),
+        (["BARO[1]"], 1999.0, "", "BARO[1] is not used: it does not follow the height"),
     ],
 )
-def test_a_compartment_may_be_a_cabin_from_3_km_on(indoors, highest_m, names, remark):
+def test_a_compartment_may_be_a_cabin_from_2_km_on(indoors, highest_m, names, remark):
     compartment = compartment_of(indoors, highest_m)
     text = indoors_remark(indoors, compartment)
     assert compartment == names

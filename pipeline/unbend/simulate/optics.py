@@ -228,12 +228,8 @@ class SimulatedCamera:
         y = rays[..., 1] / rays[..., 2]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        x_distorted = x * radial
-        x_distorted += 2.0 * p1 * x * y
-        x_distorted += p2 * (r2 + 2.0 * x * x)
-        y_distorted = y * radial
-        y_distorted += p1 * (r2 + 2.0 * y * y)
-        y_distorted += 2.0 * p2 * x * y
+        x_distorted = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        y_distorted = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
         x_px = self.focal_px * x_distorted + self.cx_px
         y_px = self.focal_px * y_distorted + self.cy_px
         return x_px, y_px

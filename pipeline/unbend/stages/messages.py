@@ -335,8 +335,8 @@ def air_is_given(*, air: str) -> Message:
 TABLES_DEFAULT = Code(
     "TABLES-DEFAULT",
     means=(
-        "correct() used a default for something that its arguments do not state, or chose one of "
-        "several columns of the table of stations."
+        "In Python, correct() used a default for something that its arguments do not state, or "
+        "chose one of several columns of the table of stations."
     ),
     effect="A note; a warning if an argument or a column that has values was not used.",
     remedy=(
@@ -380,7 +380,7 @@ def orientation_not_used(*, where: str, count: int, keys: str) -> Message:
     return warning(
         TABLES_DEFAULT,
         (
-            "the stations are those of a run and are taken as they are: {keys} of orientation is "
+            "the stations are those of a run and are used as they are: {keys} of orientation is "
             "not used. Leave orientation out, or give the table without profile_id and status"
         ),
         where=where,

@@ -25,8 +25,9 @@ from unbend.ingest.overview import SEA_LEVEL, flight_of
 OPEN_ROLES = ("ROLE-AMBIGUOUS", "CHANNEL-MISSING")
 """Codes of notes on roles that a log leaves open."""
 
-LOWEST_PRESSURISED_M = 3000.0
-"""Up to this height a usual cabin has the pressure outside (Gyer 1996, Table 7)."""
+LOWEST_PRESSURISED_M = 2000.0
+"""Cabins of this pressure altitude, and higher ones, are comfortable: below no aircraft that has a
+pressurised cabin takes photographs. Drones stay below."""
 
 LATE_TRIGGER = "EVENTS-TRIGGER-TIME"
 """Code of notes on channels of events that have the times of the triggers, not of the shutter."""
