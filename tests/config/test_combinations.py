@@ -3,6 +3,7 @@
 import pytest
 import yaml
 
+from tests.helpers import refused
 from unbend.config import Mission, load_mission
 from unbend.errors import ConfigError
 
@@ -97,7 +98,7 @@ def refusal(load):
     """What is said of a mission that is refused."""
 
     def attempt(base: str, changes: str) -> str:
-        with pytest.raises(ConfigError) as caught:
+        with refused("CONFIG-INVALID", ConfigError) as caught:
             load(base, changes)
         return caught.value.what
 
@@ -213,6 +214,8 @@ def test_values_of_a_trajectory_that_do_not_go_together(refusal, changes, text):
             'events: {positions: {nadir: {path: e.pos, image: "{index}"}}}',
             "times_only: true leaves them to the trajectory",
         ),
+        ("events: null", "events is missing, and there is no stations.orientation"),
+        ("mount: {}", "mount is missing, and there is no stations.orientation"),
     ],
 )
 def test_combinations_with_a_trajectory(refusal, changes, text):
@@ -225,6 +228,7 @@ COLUMNS = yaml.safe_load("""
 - - '{x: x, y: y, z: z, roll: r, pitch: p, yaw: h, q_w: w, q_x: i, q_y: j, q_z: k}'
   - 'columns: give either roll, pitch, yaw or q_w, q_x, q_y, q_z'
 - ['{x: x}', 'columns: x needs x, y, z']
+- ['{latitude: lat}', 'latitude, longitude, height']
 """)
 
 

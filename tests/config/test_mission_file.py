@@ -849,7 +849,9 @@ ORIENTATIONS = yaml.safe_load("""
 def test_an_orientation_that_says_too_little_or_too_much(refused, changes, words):
     orientation = GEOGRAPHIC | yaml.safe_load(changes)
     orientation_section = {key: value for key, value in orientation.items() if value is not None}
-    assert words in refused(oriented(orientation_section)).what
+    refusal = refused(oriented(orientation_section))
+    assert refusal.code == "CONFIG-INVALID"
+    assert words in refusal.what
 
 
 def test_without_a_log_nothing_comes_from_a_log(refused, accepted):

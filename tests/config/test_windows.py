@@ -96,7 +96,7 @@ IMPOSSIBLE_WINDOWS = yaml.safe_load("""
 - ['{cabin: log, normal: [0.0, 1.0]}', use a list of 3]
 - ['{cabin: log, normal: [0.0, 1.0, 0.0]}', third component is positive]
 - ['{cabin: log, normal: [0.0, 0.0, -1.0]}', third component is positive]
-- ['{cabin: log, normal: [0.0, 0.0, -1.0], frame: body}', a normal away]
+- ['{cabin: log, normal: [0.0, 0.0, -1.0], frame: body}', "'nadir' has a normal away"]
 - ['{shape: spherical, normal: [0.0, 0.1, 1.0]}', has no normal]
 - ['{shape: spherical, frame: body}', has no frame]
 """)

@@ -192,7 +192,7 @@ def test_a_role_that_is_stated_as_null_is_played_by_no_channel(role):
     [
         ({"position": "GPS[3]"}, "CHANNEL-MISSING", ["near: GPS[0]", "POS"]),
         # Without it a window in the belly would be turned with the camera: no silent substitute.
-        ({"aircraft_attitude": "ATT[7]"}, "CHANNEL-MISSING", ["near: ATT"]),
+        ({"aircraft_attitude": "ATT[7]"}, "CHANNEL-MISSING", ["near: ATT", "log.channels"]),
         ({"attitude": "BARO[0]"}, "CHANNEL-MISSING", ["board_temperature_k"]),
         ({"pressure": "BARO[0]", "cabin_pressure": "BARO[0]"}, "CHANNEL-TWICE", ["BARO[0]"]),
     ],
