@@ -345,6 +345,7 @@ def test_an_image_between_two_events_has_none():
 @pytest.mark.parametrize(
     ("events", "images"),
     [
+        (np.empty(0), ImageEvidence(3, number=np.arange(3))),
         (np.arange(1.0), ImageEvidence(1, time_s=np.zeros(1))),
         (np.zeros(3), ImageEvidence(2, time_s=np.zeros(2))),
         (np.arange(5.0), ImageEvidence(5)),

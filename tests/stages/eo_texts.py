@@ -11,9 +11,19 @@ from tests.stages.oriented_tables import attitudes
 ZONE = 32  # of UTM, in which the flight is
 GRID = f"EPSG:{32600 + ZONE}"
 PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
+HEADS = {"h_msl_m": "ORTHOMETRIC HEIGHT", "h_ellipsoid_m": "ELLIPSOID HEIGHT"}
 
 
-def write_eo(path, stations, *, axes="XYZ", head="", zone=ZONE, turn_deg=0.0):
+def write_eo(
+    path,
+    stations,
+    *,
+    axes="XYZ",
+    head="",
+    height="h_msl_m",
+    zone=ZONE,
+    turn_deg=0.0,
+):
     """Angles about ``axes`` of the grid, kappa turned further; the head may name another zone.
 
     Returns the section of the mission file.
@@ -36,7 +46,7 @@ def write_eo(path, stations, *, axes="XYZ", head="", zone=ZONE, turn_deg=0.0):
             "TIME (s)": seconds,
             "EASTING": east,
             "NORTHING": north,
-            "ORTHOMETRIC HEIGHT": stations["h_msl_m"],
+            HEADS[height]: stations[height],
             "OMEGA": angle["X"],
             "PHI": angle["Y"],
             "KAPPA": kappa + turn_deg,

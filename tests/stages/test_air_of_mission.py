@@ -80,6 +80,8 @@ def test_a_sounding_is_used_hashed_and_named(mission, unbend):
     assert "nothing to do" in mission.run().out
     with_balloon(mission, sounding_text(offset_k=0.5))
     assert "nothing to do" not in mission.run().out
+    with_balloon(mission, "nothing of the kind\n")
+    assert "balloon.csv" in mission.refusal("SOUNDING-FORMAT")
 
 
 def test_a_sounding_stands_in_for_a_thermometer(mission):
@@ -184,8 +186,23 @@ def test_a_station_is_used_and_named(mission, report, name):
     entries = {"h_msl_m": 450} | yaml.safe_load(report)
     prepared = read(mission, surface=[entries])
     assert uses(prepared)[name].fit is not None
-    assert "SURFACE-UNDATED" not in codes_in(prepared)
     assert "at 450 m" in line_of(prepared, "surface")
+
+
+@pytest.mark.parametrize(
+    ("time", "codes"),
+    [
+        ("2025-06-12T09:20:00Z", set()),
+        (None, {"SURFACE-UNDATED"}),
+        ("1999-01-12T09:20:00Z", {"SURFACE-FAR-IN-TIME", "AIR-SOURCE-FAR"}),
+    ],
+    ids=["near", "undated", "old"],
+)
+def test_a_report_of_another_time(mission, time, codes):
+    entries = {"h_msl_m": 450, "temperature_c": 18.0, "time_utc": time}
+    prepared = read(mission, surface=[entries])
+    about_time = {"SURFACE-UNDATED", "SURFACE-FAR-IN-TIME", "AIR-SOURCE-FAR"}
+    assert codes_in(prepared) & about_time == codes
 
 
 def report_of(entries, ledger):
@@ -391,6 +408,16 @@ def test_the_sigma_of_the_factor_covers_its_error(baseline):
     true_arcsec = plane_factor(true_refractivity, effect["h_g_m"], effect["h_c_m"]) / ARCSEC
     error_arcsec = abs(effect["r_c_arcsec"] - true_arcsec)
     assert error_arcsec < 3.0 * effect["sigma_arcsec"] + 0.002 * true_arcsec
+
+
+def test_the_profile_has_its_sigmas(baseline):
+    table = profile_of(baseline)
+    flown = table.query("600.0 <= h_m <= 2800.0")
+    above = table.query("6e3 <= h_m <= 2e4")
+    assert table["sigma_temperature_k"].notna().all()
+    assert flown["sigma_temperature_k"].max() < 1.0
+    assert above["sigma_temperature_k"].min() > 1.0
+    assert (table["sigma_refractivity"] > 0.0).all()
 
 
 # ---- several airs in one mission

@@ -55,6 +55,7 @@ class Crossing(NamedTuple):
         columns = station_columns(self.read(sections).stations)
         stations = pd.DataFrame(columns).set_index("image")
         stations = stations.loc[self.truth["image"]]
+        assert set(stations["status"]) == {"ok"}
         difference = attitudes(stations) @ self.enu_from_camera
         turned_rad = Rotation.from_matrix(difference).magnitude()
         assert np.degrees(turned_rad).max() < tolerance_deg

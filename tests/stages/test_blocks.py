@@ -16,7 +16,7 @@ import yaml
 from numpy.testing import assert_allclose
 
 from tests.dbat_project import write_project
-from tests.helpers import codes_of
+from tests.helpers import codes_of, entry_of
 from tests.stages.block_files import CABIN, write_colmap
 from tests.stages.corrected_rows import shift
 from tests.stages.small_missions import enu_at, mission_of, rows_of, run
@@ -241,6 +241,22 @@ def test_what_a_block_does_not_say_is_asked_for(block, colmap):
 def test_a_model_without_points_has_no_ground(block, colmap):
     colmap(without_point=frozenset(range(59)))
     assert "ground.height" in block.refusal("POINTS-EMPTY")
+
+
+def test_a_point_twice_in_an_image_is_a_loss(block, colmap):
+    colmap(text=True)
+    file = block.folder / "sparse" / "images.txt"
+    before, name, after = file.read_text().partition("nadir_00001\n")
+    keypoints = after.split(" ")  # x, y and point of the first, of the second, ...
+    point = keypoints[2]
+    keypoints[5] = point
+    file.write_text(before + name + " ".join(keypoints))
+
+    manifest = block.run_to_manifest(3)
+
+    entry = entry_of(manifest, "OBS-REPEATED-POINT")
+    assert entry["kind"] == "loss"
+    assert f"{point} in nadir_00001" in entry["what"]
 
 
 # ---- databases of COLMAP

@@ -323,6 +323,11 @@ def test_files_of_other_images_or_of_one_twice_are_refused(read_with_files):
         read_with_files(["a/" + name, "b/" + name])
 
 
+def test_a_pattern_of_no_image_is_refused(flight):
+    with refused("IMAGES-OTHER"):
+        flight.read(scattered(NAMES), one_camera("DSC_*"))
+
+
 # ---- two cameras
 
 

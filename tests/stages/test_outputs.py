@@ -266,6 +266,20 @@ def test_rows_and_columns_of_the_user_pass_through_batches(mission, baseline):
     assert_allclose(often[CORRECTED_PX], expected, atol=1e-9, rtol=0)
 
 
+def test_fewer_parts_leave_none_of_the_old_ones(mission):
+    mission.observe(mission.measured_often(20))
+    mission.config["output"]["batch_rows"] = 1000
+    mission.run_to_manifest()
+    parts = list(mission.output.glob("observations/*"))
+    assert len(parts) == 2
+
+    mission.config["output"]["batch_rows"] = 100_000
+    mission.config["ground"]["sigma_m"] = 1.5
+    mission.run_to_manifest()
+    parts = list(mission.output.glob("observations/*"))
+    assert len(parts) == 1
+
+
 # ---- bytes, and a second run
 
 
@@ -445,6 +459,15 @@ def rows_of_camera(baseline, camera):
     stations = baseline.stations().to_pandas().set_index("image")
     rows = baseline.results().to_pandas().join(stations["camera"], on="image")
     return rows[rows["camera"] == camera]
+
+
+def test_the_manifest_has_the_size_of_all_corrections(baseline):
+    rows = baseline.results().to_pandas()
+    shift = rows[CORRECTED_PX].to_numpy() - rows[MEASURED_PX]
+    size_px = np.linalg.norm(shift, axis=1)
+    shift_px = baseline.manifest()["correction"]["shift_px"]
+    assert shift_px["median"] == approx(np.median(size_px), rel=0.1)
+    assert shift_px["p95"] == approx(np.percentile(size_px, 95.0), rel=0.1)
 
 
 @pytest.mark.parametrize("camera", ["nadir", "oblique"])

@@ -549,6 +549,24 @@ def test_nothing_is_held_back_by_what_is_accepted_or_of_what_is_a_note(kind_of_c
     assert [entry.code for entry in ledger] == ["PLAUSIBLE-VIEW", "TIES-MOUNT"]
 
 
+def test_an_image_that_the_log_does_not_know_is_one_loss(mission):
+    """Its rows are a note; rows without ground stay a loss of their own."""
+    table = mission.measurements().to_pandas()
+    table.loc[0, "image"] = "nadir_09999"
+    table.loc[5, "h_g_m"] = np.nan
+    table.to_parquet(mission.folder / "observations.parquet", index=False)
+
+    checked = check_mission(mission.save())
+
+    ledger = checked.corrected.prepared.ledger
+    (unmatched,) = with_code(ledger, "IMAGES-UNMATCHED")
+    assert unmatched.kind == "loss"
+    flagged = with_code(ledger, "OBS-FLAGGED")
+    kinds = {message.values["status"]: message.kind for message in flagged}
+    assert kinds == {"no_station": "note", "no_ground": "loss"}
+    assert checked.manifest.values["exit_code"] == 3
+
+
 @pytest.mark.parametrize(
     ("decades", "words"),
     [

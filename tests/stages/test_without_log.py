@@ -91,7 +91,8 @@ def test_heights_above_the_ellipsoid_become_those_above_the_sea_by_the_geoid(wit
 def eo_of(files, camera, zone=ZONE):
     """An EO text of the camera's true stations; its head may name another zone."""
     stations = files.stations_of(camera).reset_index()
-    return write_eo(files.folder / f"{camera}.txt", stations, zone=zone)
+    path = files.folder / f"{camera}.txt"
+    return write_eo(path, stations, height="h_ellipsoid_m", zone=zone)
 
 
 def positions_of(files):
