@@ -13,23 +13,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rasterio import Affine
 
 from tests import model_files
-from tests.faults.extreme_inputs import impossible_values, with_ledger
-from tests.faults.extreme_tables import NOON_NS
+from tests.faults.extreme_inputs import impossible_values
+from tests.faults.extreme_weather import read_weather_model, weather_model
 from tests.faults.mutate import KINDS, limited, mutated, recipes, work_unit_s
 from tests.small_block import SmallBlock
+from tests.tables.geodata.rasters import write_raster
 from unbend.errors import UnbendError
 from unbend.tables.geodata.elevation import open_elevation
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.imports import blocks
-from unbend.tables.model_fields import FlightArea, read_model_field
-from unbend.tables.weather_files import contents_of
 
 LONGEST_UNITS = 100.0  # of work: 3 to 10 s
-LATITUDE_DEG = np.array([47.5, 47.25, 47.0])
-LONGITUDE_DEG = np.array([8.25, 8.5, 8.75])
-TIMES = ("2026-05-06T11:00", "2026-05-06T12:00", "2026-05-06T13:00")
 
 
 @dataclass(frozen=True)
@@ -40,27 +37,18 @@ class Kind:
     read: Callable[[Path], object]
 
 
-def write_raster(folder: Path, mean: float, spread: float) -> Path:
+def write_heights(folder: Path, mean: float, spread: float) -> Path:
     """A GeoTIFF of random numbers about a mean, in compressed tiles."""
-    rasterio = pytest.importorskip("rasterio")
-    path = folder / "heights.tif"
     numbers = mean + spread * np.random.default_rng(1).standard_normal((300, 300))
-    profile = {
-        "driver": "GTiff",
-        "height": 300,
-        "width": 300,
-        "count": 1,
-        "dtype": "float32",
-        "crs": "EPSG:4326",
-        "transform": rasterio.Affine(0.01, 0.0, 8.0, 0.0, -0.01, 48.0),
-        "compress": "deflate",
-        "tiled": True,
-        "blockxsize": 128,
-        "blockysize": 128,
-    }
-    with rasterio.open(path, "w", **profile) as raster:
-        raster.write(numbers.astype("f4"), 1)
-    return path
+    return write_raster(
+        folder / "heights.tif",
+        numbers.astype("f4"),
+        Affine(0.01, 0.0, 8.0, 0.0, -0.01, 48.0),
+        compress="deflate",
+        tiled=True,
+        blockxsize=128,
+        blockysize=128,
+    )
 
 
 def read_elevation(path: Path) -> object:
@@ -79,38 +67,12 @@ def read_undulations(path: Path) -> object:
     return read_geoid(path).undulation(np.radians([46.5]), np.radians([8.5]))
 
 
-def standard_column(
-    latitude_rad: float, longitude_rad: float, time: np.datetime64
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Heights, temperature, pressure and vapour pressure of the same air everywhere."""
-    h_m = np.arange(0.0, 20_000.0, 100.0)
-    temperature_k = np.maximum(288.15 - 0.0065 * h_m, 216.65)
-    scale_height_m = 29.27 * temperature_k
-    falls = np.cumsum(100.0 / scale_height_m)
-    pressure_pa = 101_325.0 * np.exp(falls[0] - falls)
-    return h_m, temperature_k, pressure_pa, 0.003 * pressure_pa
-
-
 def write_netcdf(folder: Path) -> Path:
     return model_files.netcdf(folder / "model.nc", weather_model())
 
 
 def write_grib(folder: Path) -> Path:
     return model_files.grib(folder / "model.grib", weather_model())
-
-
-def weather_model() -> object:
-    return model_files.dataset(standard_column, LATITUDE_DEG, LONGITUDE_DEG, TIMES)
-
-
-def read_weather_model(path: Path) -> object:
-    area = FlightArea(
-        latitude_rad=np.radians([47.2, 47.3]),
-        longitude_rad=np.radians([8.4, 8.6]),
-        time_ns=np.array([NOON_NS, NOON_NS + 10**9]),
-    )
-    contents_of(path)
-    return with_ledger(lambda ledger: read_model_field(path, area, ledger))
 
 
 def write_database(folder: Path) -> Path:
@@ -130,8 +92,8 @@ def read_database(path: Path) -> object:
 
 
 FILES = {
-    "elevation model": Kind(partial(write_raster, mean=500.0, spread=100.0), read_elevation),
-    "geoid": Kind(partial(write_raster, mean=47.0, spread=3.0), read_undulations),
+    "elevation model": Kind(partial(write_heights, mean=500.0, spread=100.0), read_elevation),
+    "geoid": Kind(partial(write_heights, mean=47.0, spread=3.0), read_undulations),
     "netCDF-4": Kind(write_netcdf, read_weather_model),
     "GRIB": Kind(write_grib, read_weather_model),
     "database of COLMAP": Kind(write_database, read_database),

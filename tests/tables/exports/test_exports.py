@@ -135,16 +135,20 @@ def test_the_default_lattice_and_its_metadata(run):
     written = write_export(run, "lattice")
 
     assert written.count == 4 * 21 * 15
-    metadata = pq.read_schema(written.path).metadata
-    assert metadata[b"unbend.lattice"] == b"21 columns, 15 rows, row by row"
-    assert metadata[b"unbend.mission"] == b"small"
+    schema = pq.read_schema(written.path)
+    assert schema.names == ["image", "x_px", "y_px", "dx_px", "dy_px", "h_g_m", "status"]
+    assert schema.field("dx_px").metadata[b"unit"] == b"px"
+    assert schema.metadata[b"unbend.lattice"] == b"21 columns, 15 rows, row by row"
+    assert schema.metadata[b"unbend.mission"] == b"small"
 
 
 @pytest.mark.parametrize("name", ["lattice", "radial"])
 def test_csv_has_what_parquet_has(run, name):
-    """Names with a comma too; numbers to their last bit, nothing for null."""
-    as_parquet = write_export(run, name)
-    as_csv = write_export(run, f"{name}-csv")
+    """Names with a comma and quotes too; numbers to their last bit, nothing for null."""
+    ground = np.array([GROUND, GROUND, np.nan, GROUND, GROUND])
+    one_is_blind = replace(run, find_ground=lambda _: ground)
+    as_parquet = write_export(one_is_blind, name)
+    as_csv = write_export(one_is_blind, f"{name}-csv")
 
     assert [*as_parquet.ledger] == [*as_csv.ledger]
     pd.testing.assert_frame_equal(
