@@ -43,7 +43,16 @@ def csv_of(inspect):
     return table
 
 
-@pytest.mark.parametrize("kind", ["BARO", "PARM", "FMT", "GPS", "CAM"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "BARO",
+        "PARM",
+        "FMT",
+        "GPS",
+        "CAM",
+    ],
+)
 def test_every_row_as_csv(csv_of, log, kind):
     rows = csv_of(kind).to_dict("records")
     expected = rows_of_library(log, kind)

@@ -110,7 +110,11 @@ def run_corpus() -> Callable[[Trial, str, set[str]], None]:
         before = list(trial.failures)
         with (CORPUS / f"{name}.csv").open(encoding="utf-8", newline="") as stream:
             for row in csv.DictReader(stream):
-                recipe = Recipe(int(row["file"]), int(row["kind"]), int(row["seed"]))
+                recipe = Recipe(
+                    int(row["file"]),
+                    int(row["kind"]),
+                    int(row["seed"]),
+                )
                 assert trial.run(recipe) in allowed, row["name"]
         assert trial.failures == before
 

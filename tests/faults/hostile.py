@@ -52,7 +52,13 @@ def text(value: str) -> bytes:
 
 def packed_chunk(compression: str, promised: int, content: bytes, crc: int = 0) -> bytes:
     """A chunk that promises so many bytes."""
-    head = pack("<QQQI", START_NS, START_NS, promised, crc) + text(compression)
+    head = pack(
+        "<QQQI",
+        START_NS,
+        START_NS,
+        promised,
+        crc,
+    ) + text(compression)
     return record(6, head + pack("<Q", len(content)) + content)
 
 
@@ -433,7 +439,11 @@ def send_pressure(
     writer: MavlinkWriter, host_us: int, boot_ms: int, source: tuple[int, int] = (1, 1)
 ) -> None:
     """A reading of 700 hPa at 45 degrees."""
-    air = {"time_boot_ms": boot_ms, "press_abs": 700.0, "temperature": 4500}
+    air = {
+        "time_boot_ms": boot_ms,
+        "press_abs": 700.0,
+        "temperature": 4500,
+    }
     writer.send("scaled_pressure", host_us, source, **air)
 
 
@@ -444,7 +454,12 @@ def boots_of_telemetry(n: int) -> bytes:
         for k in range(6):
             boot_ms = 5000 + 200 * k
             host_us = HOST_US + 60_000_000 * boot + 200_000 * k
-            writer.send("system_time", host_us, time_unix_usec=host_us, time_boot_ms=boot_ms)
+            writer.send(
+                "system_time",
+                host_us,
+                time_unix_usec=host_us,
+                time_boot_ms=boot_ms,
+            )
             send_pressure(writer, host_us + 1, boot_ms)
     return writer.data
 
@@ -455,7 +470,12 @@ def many_senders(n: int) -> bytes:
     for k in range(n):
         system = 1 + k // 250 % 250
         component = 1 + k % 250
-        send_pressure(writer, HOST_US + 1000 * k, 5000 + k, (system, component))
+        send_pressure(
+            writer,
+            HOST_US + 1000 * k,
+            5000 + k,
+            (system, component),
+        )
     return writer.data
 
 
@@ -488,7 +508,11 @@ def named_values(n: int) -> bytes:
     for k in range(n):
         host_us = HOST_US + 1000 * k
         boot_ms = 5000 + k
-        value = {"time_boot_ms": boot_ms, "name": f"v{k}".encode(), "value": 1.0}
+        value = {
+            "time_boot_ms": boot_ms,
+            "name": f"v{k}".encode(),
+            "value": 1.0,
+        }
         writer.send("named_value_float", host_us, **value)
         send_pressure(writer, host_us + 1, boot_ms)
     return writer.data

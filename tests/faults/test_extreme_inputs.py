@@ -136,7 +136,13 @@ def test_a_quaternion_of_another_length_is_no_attitude(trajectory_of, first):
     rows = sound_rows(",1,0,0,0")
     rows[2] = rows[2].replace(",1,0,0,0", f",{first},0,0,0")
 
-    channel, losses = trajectory_of(rows, q_w="w", q_x="x", q_y="y", q_z="z")
+    channel, losses = trajectory_of(
+        rows,
+        q_w="w",
+        q_x="x",
+        q_y="y",
+        q_z="z",
+    )
 
     is_unknown = np.isnan(channel["q_x"]) | np.isnan(channel["q_w"])
     assert is_unknown.tolist() == ONLY_THIRD
@@ -283,7 +289,14 @@ def test_a_lead_time_of_no_forecast_is_refused():
 
 @pytest.mark.parametrize(
     ("place", "value"),
-    [(0, np.nan), (0, 1e18), (1, np.inf), (2, 5e-324), (3, np.inf), (2, np.nan)],
+    [
+        (0, np.nan),
+        (0, 1e18),
+        (1, np.inf),
+        (2, 5e-324),
+        (3, np.inf),
+        (2, np.nan),
+    ],
 )
 def test_a_geoid_whose_head_is_no_grid_is_refused(tmp_path, place, value):
     head = [46.0, 7.0, 0.25, 0.25]

@@ -22,7 +22,13 @@ def small_log(version: int) -> bytes:
     writer = flight(version, seconds=25)
     for number in range(25):
         ms = 85_000 + 200 * number
-        writer.sent("camera_feedback", ms, time_usec=1000 * ms, img_idx=number, **PLACE)
+        writer.sent(
+            "camera_feedback",
+            ms,
+            time_usec=1000 * ms,
+            img_idx=number,
+            **PLACE,
+        )
     return writer.data
 
 
@@ -33,7 +39,12 @@ def logs() -> list[bytes]:
 
 @pytest.fixture(scope="module")
 def trial(logs: list[bytes], tmp_path_factory: pytest.TempPathFactory) -> Trial:
-    return Trial(logs, ".tlog", open_log, tmp_path_factory.mktemp("tlog"))
+    return Trial(
+        logs,
+        ".tlog",
+        open_log,
+        tmp_path_factory.mktemp("tlog"),
+    )
 
 
 def at_a_boundary(data: bytes, whole: bytes) -> bool:
@@ -90,7 +101,11 @@ def test_a_log_that_another_log_was_sent_through(tmp_path, logs):
     frames = frames_of(logs[0])
     inner = frames[7]
     payload = list(inner.ljust(96, b"\0"))
-    outer = library.MAVLink_data96_message(type=1, len=len(inner), data=payload)
+    outer = library.MAVLink_data96_message(
+        type=1,
+        len=len(inner),
+        data=payload,
+    )
     stamp = frames[50][:8]
     frames.insert(50, stamp + outer.pack(library.MAVLink(None, 9, 9)))
 

@@ -193,7 +193,16 @@ def read_trajectory(trajectory_of):
     return read
 
 
-@pytest.mark.parametrize("longitude", ["-180", "180", "359.9", "360", "-0.0"])
+@pytest.mark.parametrize(
+    "longitude",
+    [
+        "-180",
+        "180",
+        "359.9",
+        "360",
+        "-0.0",
+    ],
+)
 @pytest.mark.parametrize("latitude", ["-90", "90", "0.0001"])
 @pytest.mark.parametrize("height", ["-430", "0", "99999"])
 def test_places_at_the_limits_of_the_earth_are_places(read_trajectory, longitude, latitude, height):

@@ -156,7 +156,12 @@ class Flight:
             )
         return self.put("100_0001_Timestamp.MRK", "".join(lines))
 
-    def eo(self, angles=(-1.05, 0.32, 179.18), head="", shift=(0.0, 0.0, 0.0)) -> Path:
+    def eo(
+        self,
+        angles=(-1.05, 0.32, 179.18),
+        head="",
+        shift=(0.0, 0.0, 0.0),
+    ) -> Path:
         """POSPac's text with angles (n, 3) in its unit, more lines of its head, and shifted places.
 
         Easting, northing and height are shifted; latitude and longitude are not.
