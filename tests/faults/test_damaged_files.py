@@ -17,7 +17,7 @@ from rasterio import Affine
 
 from tests import model_files
 from tests.faults.extreme_inputs import impossible_values
-from tests.faults.extreme_weather import read_weather_model, weather_model
+from tests.faults.extreme_weather import read_weather_model
 from tests.faults.mutate import KINDS, limited, mutated, recipes, work_unit_s
 from tests.small_block import SmallBlock
 from tests.tables.geodata.rasters import write_raster
@@ -27,6 +27,11 @@ from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.imports import blocks
 
 LONGEST_UNITS = 100.0  # of work: 3 to 10 s
+
+
+LATITUDE_DEG = np.array([47.5, 47.25, 47.0])
+LONGITUDE_DEG = np.array([8.25, 8.5, 8.75])
+TIMES = ("2026-05-06T11:00", "2026-05-06T12:00", "2026-05-06T13:00")
 
 
 @dataclass(frozen=True)
@@ -67,12 +72,28 @@ def read_undulations(path: Path) -> object:
     return read_geoid(path).undulation(np.radians([46.5]), np.radians([8.5]))
 
 
+def standard_column(
+    latitude_rad: float, longitude_rad: float, time: np.datetime64
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Heights, temperature, pressure and vapour pressure of the same air everywhere."""
+    h_m = np.arange(0.0, 20_000.0, 100.0)
+    temperature_k = np.maximum(288.15 - 0.0065 * h_m, 216.65)
+    scale_height_m = 29.27 * temperature_k
+    falls = np.cumsum(100.0 / scale_height_m)
+    pressure_pa = 101_325.0 * np.exp(falls[0] - falls)
+    return h_m, temperature_k, pressure_pa, 0.003 * pressure_pa
+
+
 def write_netcdf(folder: Path) -> Path:
     return model_files.netcdf(folder / "model.nc", weather_model())
 
 
 def write_grib(folder: Path) -> Path:
     return model_files.grib(folder / "model.grib", weather_model())
+
+
+def weather_model() -> object:
+    return model_files.dataset(standard_column, LATITUDE_DEG, LONGITUDE_DEG, TIMES)
 
 
 def write_database(folder: Path) -> Path:
