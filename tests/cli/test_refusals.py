@@ -38,6 +38,16 @@ def accepted(ended, exit_code: int) -> str:
 
 VALUES = {
     "log missing": (config(log__path="gone.bin"), "INPUT-MISSING", "gone.bin"),
+    "observations missing": (
+        config(observations__path="gone.parquet"),
+        "INPUT-MISSING",
+        "check observations.path",
+    ),
+    "exposures of one name": (
+        config(events__log__nadir__image="{index}", events__log__oblique__image="{index}"),
+        "EVENTS-REPEATED",
+        "",
+    ),
     "column of ground heights": (
         config(ground__height={"column": "h_g"}),
         "OBS-COLUMN",
@@ -123,6 +133,8 @@ def test_exposures_of_a_camera_that_is_not_there(mission):
     }
     words = refused(mission.run(), "EVENTS-CAMERA")
     assert "nadir, oblique" in words
+    mission.config["events"]["csv"]["path"] = "gone.csv"
+    assert "events.csv.path" in refused(mission.run(), "INPUT-MISSING")
 
 
 # ---- observations
@@ -216,13 +228,13 @@ SPOILT_CELLS = yaml.safe_load("""
 - [y_px, .nan, bad_measurement]
 - [y_px, .inf, bad_measurement]
 - [y_px, -.inf, bad_measurement]
-- [x_px, 1.0e+308, outside_camera]
-- [x_px, -1.0e+308, outside_camera]
-- [x_px, 18446744073709551616.0, outside_camera]
-- [y_px, 1.0e+308, outside_camera]
-- [y_px, -1.0e+308, outside_camera]
-- [y_px, -9223372036854775808.0, outside_camera]
-- [y_px, 1.0e+19, outside_camera]
+- [x_px, 1.0e+308, bad_measurement]
+- [x_px, -1.0e+308, bad_measurement]
+- [x_px, 18446744073709551616.0, bad_measurement]
+- [y_px, 1.0e+308, bad_measurement]
+- [y_px, -1.0e+308, bad_measurement]
+- [y_px, -9223372036854775808.0, bad_measurement]
+- [y_px, 1.0e+19, bad_measurement]
 - [h_g_m, .inf, no_ground]
 - [h_g_m, -.inf, no_ground]
 - [h_g_m, 1.0e+308, no_ground]
@@ -290,6 +302,22 @@ def test_an_input_among_the_results_is_not_replaced(mission, unbend, section, na
     refused(unbend("check", mission.save()), "OUTPUT-OVER-INPUT", 2)
     refused(mission.run("--force"), "OUTPUT-OVER-INPUT", 2)
     assert file.read_bytes() == content
+
+
+@pytest.mark.parametrize("path", ["results/observations/link.parquet", "link.parquet"])
+def test_links_to_and_from_the_results(mission, path):
+    """The link among the results would be lost, and what the other leads to, too."""
+    results = mission.output / "observations"
+    results.mkdir(parents=True)
+    (mission.output / ".lock").touch()
+    table = mission.folder / "observations.parquet"
+    real = table.rename(results / "real.parquet")
+    (results / "link.parquet").symlink_to(mission.folder / "outside.parquet")
+    (mission.folder / "outside.parquet").write_bytes(real.read_bytes())
+    (mission.folder / "link.parquet").symlink_to(real)
+    mission.config["observations"]["path"] = path
+    assert path in refused(mission.run(), "OUTPUT-OVER-INPUT", 2)
+    assert real.is_file()
 
 
 def test_a_mission_file_among_its_results(mission, unbend):

@@ -109,6 +109,10 @@ def test_the_missions_that_are_spoilt_are_sound(load, base):
             "atmosphere.surface[0].time_utc: is not a time like 2026-05-14T10:20:00Z",
         ),
         (
+            f"observations.path: {'o' * 300}.csv",
+            "observations.path: is longer than a path can be",
+        ),
+        (
             "cameras.nadir.format: colmap",
             "cameras.nadir: format needs file, and pixel_origin cannot be combined with file",
         ),

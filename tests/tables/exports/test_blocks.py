@@ -145,7 +145,6 @@ def test_a_model_says_what_it_holds(block, written):
     ],
 )
 def test_colmap_has_the_camera_itself(block, distortion, model):
-    """That its models project as COLMAP's do is tested with them."""
     camera = replace(SIDE, distortion=distortion)
     run = block.with_side_camera(camera)
 
@@ -154,6 +153,11 @@ def test_colmap_has_the_camera_itself(block, distortion, model):
     read = pycolmap.Reconstruction(colmap.path).cameras[2]
     assert read.model.name == model
     assert camera_of_model(model, read.width, read.height, read.params) == camera
+    rng = np.random.default_rng(2)
+    rays = np.ones((50, 3))
+    rays[:, :2] = rng.uniform(-0.3, 0.3, (50, 2))
+    expected = np.transpose(camera.project(rays[:, 0], rays[:, 1]))
+    assert_within(read.img_from_cam(rays), expected, 1e-8)
 
 
 FISHEYE = OpenCVFisheye(0.01, 0.0, 0.0, 0.0)

@@ -151,6 +151,7 @@ def test_csv_has_what_parquet_has(run, name):
     as_csv = write_export(one_is_blind, f"{name}-csv")
 
     assert [*as_parquet.ledger] == [*as_csv.ledger]
+    assert "nan" not in as_csv.path.read_text().lower()
     pd.testing.assert_frame_equal(
         as_parquet.table(),
         as_csv.table(),
@@ -199,7 +200,7 @@ def test_a_radial_table_at_45_degrees(run, row, images, h_c_m, focal_px):
     assert at_45.images == images
     assert at_45.h_c_m == h_c_m
     assert at_45.h_g_m == GROUND
-    assert at_45.radius_px == pytest.approx(focal_px)
+    assert at_45.radius_px == pytest.approx(focal_px, rel=1e-12)
     assert at_45.r_c_urad == pytest.approx(r * 1e6, rel=1e-9)
     assert at_45.k_urad == pytest.approx(r * 1e6, rel=1e-9)
     assert at_45.k_manual_urad == pytest.approx(effect_by_the_manual(h_c_km) - k_ground)
@@ -217,6 +218,8 @@ def test_radial_tables_by_camera_and_height(run):
     table = written.table()
     assert_array_equal(table.camera, np.repeat(["nadir", "side"], 81))
     assert table.nadir_angle_deg.tolist() == pytest.approx([*range(81)] * 2)
+    for _, rows in table.groupby("camera"):
+        assert rows.r_c_arcsec.is_monotonic_increasing
     air, window = written.ledger
     assert (air.code, air.count) == ("EXPORT-AIR-CHANGES", 2)
     assert (window.code, window.count) == ("EXPORT-WINDOW", 0)
