@@ -192,7 +192,9 @@ def extreme_number(kind: np.dtype[Any], draw: random.Random) -> Any:
         return np.array(number, np.int64).view(kind)
     limits = np.iinfo(kind)
     negative = max(-1, limits.min)
-    return kind.type(draw.choice((limits.min, limits.max, 0, 1, negative, limits.max // 2)))
+    middle = limits.max // 2
+    numbers = (limits.min, limits.max, 0, 1, negative, middle, middle + 1)
+    return kind.type(draw.choice(numbers))
 
 
 # What a result may hold: nothing infinite, no number beyond all that is measured, no other times.

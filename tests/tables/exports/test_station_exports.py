@@ -207,10 +207,11 @@ def test_angles_against_the_horizon_of_each_station(run):
         "image,camera,status,time_utc,lat_deg,lon_deg,h_ellipsoid_m,omega_deg,phi_deg,kappa_deg,"
         "sigma_horizontal_m,sigma_height_m,sigma_tilt_deg,sigma_yaw_deg"
     )
+    assert table.camera.tolist() == ["nadir"] * 3
     # The photo's y is up and its z backward.
     assert_within(rotations_to_photos(table), DOWN @ TURNS[OK], 1e-12)
-    assert table.lat_deg.tolist() == pytest.approx(LAT[OK])
-    assert table.lon_deg.tolist() == pytest.approx(LON[OK])
+    assert table.lat_deg.tolist() == pytest.approx(LAT[OK], rel=1e-14)
+    assert table.lon_deg.tolist() == pytest.approx(LON[OK], rel=1e-14)
     assert (table.h_ellipsoid_m == H_ELLIPSOID).all()
     assert (table.sigma_horizontal_m == 0.5).all()
     assert table.sigma_tilt_deg.tolist() == pytest.approx([0.25] * 3)

@@ -284,6 +284,11 @@ def test_what_is_no_time(text):
     assert parse_time(text, "UTC") is None
 
 
+@pytest.mark.parametrize("zone", ["+14:01", "-23:59"])
+def test_a_zone_elsewhere_that_no_place_has(zone):
+    assert parse_time("2026:05:06 12:00:00", zone) is None
+
+
 DJI = XMP_BEGIN + (
     'drone-dji:GpsLatitude="-33.5" '
     'drone-dji:GpsLongtitude="+151.25" drone-dji:AbsoluteAltitude="+85.40" '
