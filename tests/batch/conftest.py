@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import pandas as pd
 import pyarrow as pa
@@ -16,17 +17,16 @@ def measured_rows(mission: MissionFolder) -> pd.DataFrame:
     return mission.measurements().to_pandas()
 
 
-def result_rows(mission: MissionFolder) -> pd.DataFrame:
-    return mission.results().to_pandas()
-
-
-def station_rows(mission: MissionFolder) -> pd.DataFrame:
-    return mission.stations().to_pandas()
-
-
 def observe(mission: MissionFolder, rows: pd.DataFrame) -> None:
     """Make a data frame the observations of the mission."""
     mission.observe(pa.Table.from_pandas(rows, preserve_index=False))
+
+
+def flip_a_byte(path: Path) -> None:
+    """Change one byte, in the middle of a file."""
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
 
 
 @pytest.fixture

@@ -42,6 +42,14 @@ def gone(process: int) -> bool:
     return False
 
 
+def wait_until(happened, seconds=200.0):
+    """Wait for what another process does; fail where it has not happened by then."""
+    limit = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < limit
+        time.sleep(0.02)
+
+
 def run_mission(mission, *, progress=None):
     """Run a mission as its name says: deadly ones kill their process, buggy ones raise."""
     name = mission.path.stem

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -25,16 +25,10 @@ from unbend.errors import UnbendError
 MISSIONS = Path(__file__).with_name("missions.py")
 sys.path.append(str(MISSIONS.parent))
 import missions as missions_module  # noqa: E402
+from missions import wait_until  # noqa: E402
 
 LIMIT_S = 200.0
 RUNS = int(os.environ.get("UNBEND_CLUSTER_KILLS", "1"))
-
-
-def wait_until(happened: Callable[[], object], seconds: float = LIMIT_S) -> None:
-    limit = time.monotonic() + seconds
-    while not happened():
-        assert time.monotonic() < limit
-        time.sleep(0.02)
 
 
 class Machines:

@@ -14,6 +14,8 @@ from unbend.batch.runs import mission_status, run_mission
 from unbend.config import load_mission
 from unbend.ingest import hash_file
 
+from .conftest import flip_a_byte
+
 
 @pytest.fixture
 def reads(monkeypatch) -> list[Path]:
@@ -57,12 +59,6 @@ def done(mission, plain_report, later):
     return mission
 
 
-def flip_last_byte(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[-1] ^= 1
-    path.write_bytes(content)
-
-
 def test_what_is_unchanged_is_not_read(done, reads):
     assert run_mission(done.file).repeated
     assert mission_status(done.file)[1] == []
@@ -81,14 +77,14 @@ def test_another_time_is_read_and_the_same_content_is_the_same(done, reads):
 
 
 def test_content_of_the_same_size_with_another_time_is_seen(done):
-    flip_last_byte(done.log)
+    flip_a_byte(done.log)
     assert mission_status(done.file)[1] == [f"log changed ({done.config['log']['path']})"]
 
 
 def test_content_that_keeps_size_and_time_is_seen_where_it_is_asked_for(done):
     """Size and time are all that a run looks at; --verify-inputs reads."""
     before = done.log.stat()
-    flip_last_byte(done.log)
+    flip_a_byte(done.log)
     os.utime(done.log, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert run_mission(done.file).repeated
     plan = make_plan(load_mission(done.file), done.folder, verify=True)

@@ -31,7 +31,7 @@ from unbend.batch.proposal.proposed_cameras import proposed_cameras
 from unbend.flight.channels import Channel
 from unbend.flight.image_names import name_series
 
-from .conftest import measured_rows, result_rows
+from .conftest import measured_rows
 
 TWO_HEADS = yaml.safe_load("""
 cameras:
@@ -149,8 +149,8 @@ def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_g
     obeyed("check", flown.save())
     if kind == "bin":
         flown.run_to_manifest()
-        results = result_rows(flown)
-        pd.testing.assert_frame_equal(results, result_rows(baseline), check_exact=True)
+        results = flown.result_rows()
+        pd.testing.assert_frame_equal(results, baseline.result_rows(), check_exact=True)
 
 
 def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):

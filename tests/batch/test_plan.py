@@ -91,15 +91,6 @@ def test_inputs_have_their_roles_and_their_places_in_the_mission_file(mission):
     assert "check log.path" in str(refusal.value)
 
 
-@pytest.mark.parametrize("name", ["manifest.json", "report.html", ".lock"])
-def test_a_mission_file_among_its_results_is_refused(mission, name):
-    mission.config["output"]["path"] = "."
-    mission.config["observations"]["path"] = name
-    (mission.folder / name).write_text("x")
-    with refused("OUTPUT-OVER-INPUT"):
-        make_plan(load_mission(mission.save()), mission.folder)
-
-
 SIDECARS = ["dem.tif.aux.xml", "dem.tif.msk", "dem.tif.ovr", "dem.tfw", "DEM.prj", "dem"]
 OF_OTHERS = ["dem.yaml", "dem.log", "dem_2.tif.aux.xml", "demo.tfw"]
 

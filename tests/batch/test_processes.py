@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from unbend.batch.processes import MissionProcess, stop_all
 
 MISSIONS = str(Path(__file__).with_name("missions.py"))
 sys.path.append(str(Path(MISSIONS).parent))
-from missions import gone  # noqa: E402
+from missions import gone, wait_until  # noqa: E402
 
 
 def ran(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[dict[str, str], list]:
@@ -109,13 +108,6 @@ def test_the_threads_of_a_pool_end_with_its_process():
     stop_all(processes)
     left = set(threading.enumerate()) - before
     assert not left
-
-
-def wait_until(happened: Callable[[], bool], seconds: float = 120.0) -> None:
-    limit = time.monotonic() + seconds
-    while not happened():
-        assert time.monotonic() < limit
-        time.sleep(0.02)
 
 
 # `unbend run`, with a step in which every worker waits to be hit; deaf ones do not hear SIGTERM.

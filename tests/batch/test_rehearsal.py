@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 
 from tests.helpers import codes_of, entry_of, refused
+from tests.tables.observed import COLUMNS
 from unbend.batch.rehearsal import rehearsal_lines
 from unbend.batch.runs import check_mission, run_mission
 from unbend.errors import UnbendError
@@ -19,16 +20,9 @@ from unbend.messages import Ledger
 from unbend.tables.observations import open_observations
 from unbend.tables.row_sample import RowSample
 
-from .conftest import measured_rows, observe, result_rows, station_rows
+from .conftest import measured_rows, observe
 
 pytestmark = pytest.mark.usefixtures("plain_report")
-
-COLUMNS = {
-    "image": "image",
-    "point": "point",
-    "x_px": "x_px",
-    "y_px": "y_px",
-}
 
 
 def renamed_column(mission):
@@ -300,7 +294,7 @@ def span(values: pd.Series, digits: int) -> str:
 def test_the_lines_have_the_numbers_of_the_run(mission):
     lines = dict(rehearsal_lines(check_mission(mission.save())))
     run_mission(mission.file)
-    stations = station_rows(mission)
+    stations = mission.station_rows()
     rows = (
         mission.results()
         .to_pandas()
@@ -355,11 +349,11 @@ def test_what_ten_metres_do_is_what_they_do(mission):
     """The ground 10 m higher in the mission file moves the corrections by what check says."""
     lines = dict(rehearsal_lines(check_mission(mission.save())))
     run_mission(mission.file)
-    before = result_rows(mission)
+    before = mission.result_rows()
     table = measured_rows(mission)
     observe(mission, table.assign(h_g_m=table["h_g_m"] + 10.0))
     run_mission(mission.save())
-    after = result_rows(mission)
+    after = mission.result_rows()
 
     moved_x = after["x_corrected_px"] - before["x_corrected_px"]
     moved_y = after["y_corrected_px"] - before["y_corrected_px"]

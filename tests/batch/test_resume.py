@@ -19,6 +19,7 @@ import pytest
 
 from tests.draws import SEED
 from tests.helpers import refused
+from tests.tables.observed import COLUMNS
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch import store
 from unbend.batch.input_files import check_unchanged
@@ -42,7 +43,6 @@ ROWS = 950
 BATCH_ROWS = 100
 PARTS = 10
 MOST_THREADS = 4
-COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 
 
 class Killed(BaseException):

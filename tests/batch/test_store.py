@@ -73,14 +73,16 @@ def test_files_of_the_user_stay(tmp_path):
     assert names_in(folder) == {"notes.txt", "part-00000.parquet", "sub"}
 
 
-def test_a_refused_run_does_not_make_a_folder_ours(tmp_path):
+@pytest.mark.parametrize("name", ["stations.parquet", "observations/mine.csv"])
+def test_a_refused_run_does_not_make_a_folder_ours(tmp_path, name):
     with open_folder(tmp_path):
         pass  # refused before anything was committed
-    stations = tmp_path / "stations.parquet"
-    stations.write_text("the user's", encoding="utf-8")
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("the user's", encoding="utf-8")
     with refused("STORAGE-NOT-OURS"), open_folder(tmp_path):
         pass
-    assert stations.read_text(encoding="utf-8") == "the user's"
+    assert path.read_text(encoding="utf-8") == "the user's"
 
 
 @pytest.mark.parametrize("name", ["stations.parquet", PART])
@@ -351,6 +353,8 @@ def test_a_folder_that_may_not_be_written_to_is_not_taken_for_a_disk_without_loc
         ("results/observations/out.parquet", True),
         ("alias/manifest.json", True),
         ("results/../results/report.html", True),
+        ("results/.lock", True),
+        ("results/.staging/flight.bin", True),
         ("results/flight.bin", False),
         ("elsewhere.parquet", False),
         ("observations/own.parquet", False),
@@ -365,6 +369,7 @@ def test_files_among_the_results_by_any_path(tmp_path, path, is_result):
     (observations / "out.parquet").symlink_to(tmp_path / "elsewhere.parquet")
     (tmp_path / "alias").symlink_to(results)
     assert store.would_replace(results, tmp_path / path) is is_result
+    assert store.would_replace(tmp_path / "alias", observations / "real.parquet")
 
 
 def test_a_folder_is_there_whole_or_not_at_all(tmp_path):

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from tests.batch.missions import wait_until
 from tests.helpers import refused
 from unbend.batch import other_processes, processes
 from unbend.batch.campaigns import head_of, is_page_ours
@@ -77,7 +78,7 @@ def test_a_process_that_goes_on_in_time_is_not_killed(impatient):
     assert number is not None
     for _ in range(3):
         os.kill(number, signal.SIGSTOP)
-        wait_until_stopped(number)
+        wait_until(partial(is_stopped, number))
         process.kill_if_stopped()
         os.kill(number, signal.SIGCONT)
         process.kill_if_stopped()
@@ -94,13 +95,6 @@ def test_a_worker_of_dask_does_not_wait_for_its_stopped_process(impatient):
     assert isinstance(end, Lost)
     assert not isinstance(end, Bug)
     assert "SIGSTOP" in end.how
-
-
-def wait_until_stopped(number: int) -> None:
-    limit = time.monotonic() + 60.0
-    while not is_stopped(number):
-        assert time.monotonic() < limit
-        time.sleep(0.01)
 
 
 # ---- locks
@@ -132,7 +126,7 @@ def test_a_lock_is_refused_at_once_and_names_who_holds_it(tmp_path, holder, is_s
     who = f"{holder.pid} "
     if is_stopped_holder:
         holder.send_signal(signal.SIGSTOP)
-        wait_until_stopped(holder.pid)
+        wait_until(partial(is_stopped, holder.pid))
         who = f"process {holder.pid}, which is stopped,"
     for attempt in (partial(rehearse_folder, tmp_path), open_folder(tmp_path).__enter__):
         began_s = time.monotonic()

@@ -1,6 +1,5 @@
 """`unbend inspect LOG --type NAME`: every message type of a log as a table."""
 
-import contextlib
 import io
 import json
 from functools import partial
@@ -11,16 +10,13 @@ import pandas as pd
 import pytest
 from pymavlink.DFReader import DFReader_binary
 
+from tests.ingest.dataflash.library import library_tables
+
 
 def rows_of_library(path: Path, kind: str) -> list[dict]:
     """The messages of a type as pymavlink reads them."""
-    rows = []
-    with contextlib.closing(DFReader_binary(str(path))) as reader:
-        while (message := reader.recv_match(type=kind)) is not None:
-            row = message.to_dict()
-            del row["mavpackettype"]
-            rows.append(row)
-    return rows
+    table = library_tables(DFReader_binary(str(path)))[kind]
+    return pd.DataFrame(table).to_dict("records")
 
 
 @pytest.fixture
@@ -47,7 +43,16 @@ def csv_of(inspect):
     return table
 
 
-@pytest.mark.parametrize("kind", ["BARO", "PARM", "FMT", "GPS", "CAM"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "BARO",
+        "PARM",
+        "FMT",
+        "GPS",
+        "CAM",
+    ],
+)
 def test_every_row_as_csv(csv_of, log, kind):
     rows = csv_of(kind).to_dict("records")
     expected = rows_of_library(log, kind)

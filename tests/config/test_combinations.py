@@ -1,11 +1,9 @@
 """Values that are sound alone and do not go together: each is refused with what to do."""
 
+from typing import Any
+
 import pytest
 import yaml
-
-from tests.helpers import refused
-from unbend.config import Mission, load_mission
-from unbend.errors import ConfigError
 
 BY_LOG = """
 mission: {name: survey}
@@ -74,35 +72,16 @@ mount.oblique: {}
 """
 
 
-@pytest.fixture
-def load(tmp_path):
-    """Loads a mission with values in the place of others, which stand under dotted keys."""
-
-    def with_changes(base: str, changes: str = "{}") -> Mission:
-        values = yaml.safe_load(base)
-        for key, value in yaml.safe_load(changes).items():
-            *sections, last = key.split(".")
-            section = values
-            for name in sections:
-                section = section.setdefault(name, {})
-            section[last] = value
-        path = tmp_path / "mission.yaml"
-        path.write_text(yaml.safe_dump(values, sort_keys=False), "utf-8")
-        return load_mission(path)
-
-    return with_changes
-
-
-@pytest.fixture
-def refusal(load):
-    """What is said of a mission that is refused."""
-
-    def attempt(base: str, changes: str) -> str:
-        with refused("CONFIG-INVALID", ConfigError) as caught:
-            load(base, changes)
-        return caught.value.what
-
-    return attempt
+def changed(base: str, changes: str) -> dict[str, Any]:
+    """A mission with values in the place of others, which stand under dotted keys."""
+    values = yaml.safe_load(base)
+    for key, value in yaml.safe_load(changes).items():
+        *sections, last = key.split(".")
+        section = values
+        for name in sections:
+            section = section.setdefault(name, {})
+        section[last] = value
+    return values
 
 
 @pytest.mark.parametrize("base", [BY_LOG, BY_TABLE], ids=["log", "table"])
@@ -120,6 +99,18 @@ def test_the_missions_that_are_spoilt_are_sound(load, base):
         (
             "atmosphere.surface: [{h_msl_m: 4.0, temperature_c: 5.0, time_utc: noon}]",
             "atmosphere.surface[0].time_utc: is not a time like 2026-05-14T10:20:00Z",
+        ),
+        (
+            "atmosphere.surface: [{h_msl_m: 4.0, time_utc: 9999-12-31T23:59:59Z}]",
+            "atmosphere.surface[0].time_utc: is not a time like 2026-05-14T10:20:00Z",
+        ),
+        (
+            "atmosphere.surface: [{h_msl_m: 4.0, time_utc: 0001-01-01T00:00:00+23:59}]",
+            "atmosphere.surface[0].time_utc: is not a time like 2026-05-14T10:20:00Z",
+        ),
+        (
+            f"observations.path: {'o' * 300}.csv",
+            "observations.path: is longer than a path can be",
         ),
         (
             "cameras.nadir.format: colmap",
@@ -178,8 +169,8 @@ def test_the_missions_that_are_spoilt_are_sound(load, base):
         ),
     ],
 )
-def test_combinations_of_a_mission_by_its_log(refusal, changes, text):
-    assert text in refusal(BY_LOG, changes)
+def test_combinations_of_a_mission_by_its_log(invalid, changes, text):
+    assert text in invalid(changed(BY_LOG, changes))
 
 
 @pytest.mark.parametrize(
@@ -201,9 +192,9 @@ def test_combinations_of_a_mission_by_its_log(refusal, changes, text):
         ("lever_arm_m: from_events", "from_events needs events.positions"),
     ],
 )
-def test_values_of_a_trajectory_that_do_not_go_together(refusal, changes, text):
+def test_values_of_a_trajectory_that_do_not_go_together(invalid, changes, text):
     values = {f"stations.trajectory.{key}": v for key, v in yaml.safe_load(changes).items()}
-    assert text in refusal(BY_TRAJECTORY, yaml.safe_dump(values))
+    assert text in invalid(changed(BY_TRAJECTORY, yaml.safe_dump(values)))
 
 
 @pytest.mark.parametrize(
@@ -218,8 +209,8 @@ def test_values_of_a_trajectory_that_do_not_go_together(refusal, changes, text):
         ("mount: {}", "mount is missing, and there is no stations.orientation"),
     ],
 )
-def test_combinations_with_a_trajectory(refusal, changes, text):
-    assert text in refusal(BY_TRAJECTORY, changes)
+def test_combinations_with_a_trajectory(invalid, changes, text):
+    assert text in invalid(changed(BY_TRAJECTORY, changes))
 
 
 COLUMNS = yaml.safe_load("""
@@ -233,8 +224,8 @@ COLUMNS = yaml.safe_load("""
 
 
 @pytest.mark.parametrize(("columns", "text"), COLUMNS)
-def test_columns_of_a_trajectory_that_exclude_each_other(refusal, columns, text):
-    assert text in refusal(BY_CSV, f"stations.trajectory.columns: {columns}")
+def test_columns_of_a_trajectory_that_exclude_each_other(invalid, columns, text):
+    assert text in invalid(changed(BY_CSV, f"stations.trajectory.columns: {columns}"))
 
 
 @pytest.mark.parametrize(
@@ -264,5 +255,5 @@ def test_columns_of_a_trajectory_that_exclude_each_other(refusal, columns, text)
         ),
     ],
 )
-def test_combinations_of_a_mission_by_its_orientations(refusal, changes, text):
-    assert text in refusal(BY_TABLE, changes)
+def test_combinations_of_a_mission_by_its_orientations(invalid, changes, text):
+    assert text in invalid(changed(BY_TABLE, changes))

@@ -118,15 +118,9 @@ def test_pixels_of_a_camera_are_colmaps_and_its_lens_has_no_distortion():
     assert (camera.cx_px, camera.cy_px) == (500.0, 400.0)
 
 
-def test_the_ground_has_no_default_but_for_distances():
+def test_the_ground_has_no_default_and_two_limits():
     for name in ("height", "reference"):
         assert GroundSection.model_fields[name].is_required()
-    section = GroundSection.model_validate({"height": "from_distance"})
-    assert section.reference == "msl"  # the camera's own height is above mean sea level
-    assert section.from_distance
-    assert (section.constant_m, section.column) == (None, None)
-    column = GroundSection.model_validate({"height": {"column": "z"}, "reference": "ellipsoid"})
-    assert (column.constant_m, column.column, column.from_distance) == (None, "z", False)
     for height in (-600.0, 10_000.0):
         given = GroundSection.model_validate({"height": height, "reference": "relative"})
         assert given.constant_m == height

@@ -4,26 +4,23 @@ import copy
 import random
 import re
 import string
-import time
 import typing
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 from pydantic import BaseModel
 
-from tests import helpers
-from unbend.config import Mission, load_mission
-from unbend.errors import ConfigError
+from tests.config.conftest import C_LOADER, dumped
+from unbend.config import Mission
 
 FULL: dict[str, Any] = yaml.safe_load("""
 mission:
   name: survey
   undulation_m: 47.5
   geoid: egm96
-  title: Zürich, Los 3
+  title: Zürich «Nord», Los 3 航空写真
   client: Amt
   operator: Luftbild GmbH
   remarks: "one\\n\\ntwo"
@@ -397,62 +394,12 @@ def without(tree: dict[str, Any], key: str) -> dict[str, Any]:
     return tree
 
 
-# libyaml where PyYAML was built with it: ten times as fast.
-C_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-C_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-def dumped(tree: dict[str, Any]) -> str:
-    return yaml.dump(tree, Dumper=C_DUMPER, sort_keys=False)
-
-
 def line_of(text: str, key: str) -> int:
     """The line of a key, by YAML's own account."""
     node = yaml.compose(text, C_LOADER)
     for name in key.split("."):
         key_node, node = next(pair for pair in node.value if pair[0].value == name)
     return key_node.start_mark.line + 1
-
-
-@pytest.fixture
-def written(tmp_path):
-    """Writes a mission file."""
-
-    def write(content: dict[str, Any] | str) -> Path:
-        path = tmp_path / "mission.yaml"
-        if not isinstance(content, str):
-            content = dumped(content)
-        path.write_text(content, "utf-8")
-        return path
-
-    return write
-
-
-@pytest.fixture
-def refused(written):
-    """Loads a mission and gives the refusal; fails when there is none or it took ten seconds."""
-
-    def attempt(content: dict[str, Any] | str) -> ConfigError:
-        path = written(content)
-        begin = time.process_time()
-        with pytest.raises(ConfigError) as caught:
-            load_mission(path)
-        assert time.process_time() - begin < 10.0
-        assert str(path) in caught.value.where
-        assert caught.value.remedy
-        assert "pydantic" not in str(caught.value).lower()
-        assert "http" not in str(caught.value)
-        return caught.value
-
-    return attempt
-
-
-@pytest.fixture
-def accepted(written):
-    def load(content: dict[str, Any] | str) -> Mission:
-        return load_mission(written(content))
-
-    return load
 
 
 def models_in(annotation) -> Iterator[type[BaseModel]]:
@@ -472,7 +419,7 @@ def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[st
             yield from fields_of(inner, seen)
 
 
-def test_the_examples_here_use_every_key_there_is(accepted):
+def test_the_examples_here_use_every_key_there_is(load):
     missions = [
         with_csv_events(),
         ORIENTED,
@@ -493,8 +440,9 @@ def test_the_examples_here_use_every_key_there_is(accepted):
     for entry in (*atmosphere["soundings"], *atmosphere["surface"], *missions[-1]["accept"]):
         used.update(entry)
     assert set(fields_of(Mission, set())) <= used
-    for tree in (FULL, *missions):
-        accepted(tree)
+    for tree in missions:
+        load(tree)
+    assert load(FULL).mission.title == FULL["mission"]["title"]
 
 
 def typos(word: str, draw: random.Random) -> Iterator[str]:
@@ -509,7 +457,7 @@ def typos(word: str, draw: random.Random) -> Iterator[str]:
         yield word[:j] + word[j + 1] + word[j] + word[j + 2 :]
 
 
-def test_a_misspelt_key_is_refused_with_its_line_and_the_right_one(refused):
+def test_a_misspelt_key_is_refused_with_its_line_and_the_right_one(refusal):
     draw = random.Random(20240607)
     tried = 0
     right = 0
@@ -524,7 +472,7 @@ def test_a_misspelt_key_is_refused_with_its_line_and_the_right_one(refused):
                 if not typo or typo in set(fields_of(Mission, set())):
                     continue
                 text = dumped(renamed(tree, key, typo))
-                error = refused(text)
+                error = refusal(text)
                 spoilt = f"{section}{dot}{typo}"
                 line = line_of(text, spoilt)
                 assert error.code == "CONFIG-UNKNOWN-KEY", (typo, error)
@@ -569,35 +517,32 @@ cameras.nadir.principal_distance.reference.temperature_c
 
 
 @pytest.mark.parametrize("key", REQUIRED.split())
-def test_a_required_key_that_is_missing_is_named(refused, key):
-    error = refused(without(FULL, key))
+def test_a_required_key_that_is_missing_is_named(refusal, key):
+    error = refusal(without(FULL, key))
     assert key in error.what
     assert "is missing" in error.what
 
 
-def test_nothing_is_assumed_about_calibration_and_ground(refused):
+def test_nothing_is_assumed_about_calibration_and_ground(refusal):
     for key, choices in (
         ("cameras.nadir.calibration", "laboratory | in_flight_uncorrected"),
         ("ground.reference", "msl | ellipsoid | relative"),
     ):
-        assert choices in refused(without(FULL, key)).what
-    assert "column" in refused(without(FULL, "ground.height")).what
-    for section in models_in(Mission.model_fields["ground"].annotation):
-        for name in ("height", "reference"):
-            assert section.model_fields[name].is_required()
+        assert choices in refusal(without(FULL, key)).what
+    assert "column" in refusal(without(FULL, "ground.height")).what
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_no_number_may_be_infinite_or_nan(refused, value):
+def test_no_number_may_be_infinite_or_nan(refusal, value):
     numbers = [key for key in keys_of(FULL) if type(at(FULL, key)) in (int, float)]
     assert len(numbers) > 35
     for key in numbers:
-        assert key in refused(changed(FULL, key, value)).what
+        assert key in refusal(changed(FULL, key, value)).what
     for key in ("cameras.nadir.window.normal", "mount.nadir.lever_arm_m"):
-        assert key in refused(changed(FULL, key, [value, 0.0, 1.0])).what
+        assert key in refusal(changed(FULL, key, [value, 0.0, 1.0])).what
 
 
-def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
+def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refusal):
     for key in keys_of(FULL):
         right = at(FULL, key)
         wrongs: list[Any] = [{"surprise": 1}] if isinstance(right, list) else [["a", "b"]]
@@ -608,19 +553,19 @@ def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refused):
         if isinstance(right, bool):
             wrongs += ["yes"]
         for wrong in wrongs:
-            error = refused(changed(FULL, key, wrong))
+            error = refusal(changed(FULL, key, wrong))
             assert key.partition(".")[0] in error.what, (key, wrong, error)
             assert re.search(r"line \d+", error.what), (key, wrong, error)
 
 
 OUT_OF_RANGE = yaml.safe_load(r"""
-mission.name: [../up, "", a/b, "a\nb"]
+mission.name: [../up, Zürich Nord, "", a/b, "a\nb", {a: {b: 1}}, {a: [1]}, {}, {a: 1}]
 mission.undulation_m: [500.0]
 log.max_gap_s: [0.0, -1.0]
 log.path: ["", "a\0b"]
 output.path: ["a\0b"]
 output.batch_rows: [10]
-cameras.nadir.width_px: [0, 100.5]
+cameras.nadir.width_px: [0, 100.5, 18446744073709551616]
 cameras.nadir.fx_px: [-1.0]
 cameras.nadir.calibration: [lab]
 cameras.nadir.window.normal: [[0.0, 0.0, 0.0], [0.0, 1.0, -0.1], [0.0, 1.0]]
@@ -646,20 +591,25 @@ atmosphere.standard: [us1967]
 atmosphere.index: [edlen]
 refraction.method: [magic]
 refraction.radius_m: [6371.0]
+mount.nadir.roll_deg: [1.0e+9]
 mount.nadir.sigma_tilt_deg: [-0.1]
 mount.nadir.sigma_yaw_deg: [200.0]
 ground.sigma_m: [-1.0]
+stations.max_sigma_height_m: [1.0e+308]
 ground.sigma_column: [3.0]
 """)
 OUT_OF_RANGE["mission.name"].append("x" * 300)
+OUT_OF_RANGE["stations.max_sigma_height_m"].append(int("9" * 400))
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
     [(key, value) for key, values in OUT_OF_RANGE.items() for value in values],
 )
-def test_a_value_out_of_range_is_refused(refused, key, value):
-    assert key in refused(changed(FULL, key, value)).what
+def test_a_value_out_of_range_is_refused(refusal, key, value):
+    said = refusal(changed(FULL, key, value)).what
+    assert key in said
+    assert re.search(r"line \d+", said)
 
 
 @pytest.mark.parametrize(
@@ -675,69 +625,69 @@ def test_a_value_out_of_range_is_refused(refused, key, value):
         ),
     ],
 )
-def test_events_that_contradict_each_other(refused, events, why):
-    assert why in refused(FULL | {"events": events}).what
+def test_events_that_contradict_each_other(refusal, events, why):
+    assert why in refusal(FULL | {"events": events}).what
 
 
-def test_the_image_of_the_first_event_may_be_stated_by_its_name(accepted):
+def test_the_image_of_the_first_event_may_be_stated_by_its_name(load):
     events = FULL["events"] | {"first_image": {"window": "w7.tif"}}
-    anchor = accepted(FULL | {"events": events}).events.anchor("window")
+    anchor = load(FULL | {"events": events}).events.anchor("window")
     assert anchor.image == "w7.tif"
     assert anchor.event == 1
 
 
-def test_sigmas_that_contradict_each_other(refused):
+def test_sigmas_that_contradict_each_other(refusal):
     both = changed(FULL, "ground.sigma_column", "sigma_h")
-    assert "sigma_m or sigma_column" in refused(both).what
-    assert "sigma_tilt_deg" in refused(without(FULL, "mount.nadir.sigma_tilt_deg")).what
+    assert "sigma_m or sigma_column" in refusal(both).what
+    assert "sigma_tilt_deg" in refusal(without(FULL, "mount.nadir.sigma_tilt_deg")).what
 
 
-def test_one_principal_distance(refused, accepted):
+def test_one_principal_distance(refusal, load):
     fx = "cameras.nadir.fx_px"
     fy = "cameras.nadir.fy_px"
     f = "cameras.nadir.f_px"
     none = without(without(FULL, fx), fy)
-    accepted(changed(none, f, 20000.0))
+    load(changed(none, f, 20000.0))
     for tree in (changed(FULL, f, 1.0), without(FULL, fx), none):
-        assert "f_px" in refused(tree).what
+        assert "f_px" in refusal(tree).what
 
 
 @pytest.mark.parametrize("section", ["mount", "events.log", "cameras"])
-def test_cameras_must_agree(refused, section):
+def test_cameras_must_agree(refusal, section):
     nadir = f"{section}.nadir"
-    error = refused(renamed(FULL, nadir, "nadri"))
+    error = refusal(renamed(FULL, nadir, "nadri"))
     assert "nadri" in error.what
     assert "nadir" in error.what
     if section != "cameras":
         text = f"'nadir' has no entry under {section}"
-        assert text in refused(without(FULL, nadir)).what
+        assert text in refusal(without(FULL, nadir)).what
 
 
-def test_a_csv_of_events_names_its_camera(refused):
+def test_a_csv_of_events_names_its_camera(refusal):
     camera = "events.csv.camera"
-    assert "oblique" in refused(changed(with_csv_events(), camera, "oblique")).what
+    assert "oblique" in refusal(changed(with_csv_events(), camera, "oblique")).what
     silent = without(with_csv_events(), camera)
     column = "events.csv.columns.camera"
-    assert "which camera" in refused(without(silent, column)).what
+    assert "which camera" in refusal(without(silent, column)).what
 
 
-def test_exposures_have_one_source_and_one_clock(refused):
+def test_exposures_have_one_source_and_one_clock(refusal):
     for events in ({}, FULL["events"] | CSV_EVENTS):
-        assert "either log, csv or positions" in refused(FULL | {"events": events}).what
+        assert "either log, csv or positions" in refusal(FULL | {"events": events}).what
     columns = "events.csv.columns"
     for given in ({"time_utc": "t", "gps_week": "w", "gps_seconds": "s"}, {"gps_week": "w"}, {}):
-        assert "time_utc" in refused(changed(with_csv_events(), columns, given)).what
+        assert "time_utc" in refusal(changed(with_csv_events(), columns, given)).what
 
 
 @pytest.mark.parametrize("key", [key for key in keys_of(FULL) if key.count(".") < 2])
-def test_a_key_that_stands_there_twice_is_refused(refused, key):
+def test_a_key_that_stands_there_twice_is_refused(refusal, key):
     text = dumped(FULL)
     lines = text.splitlines()
     line = line_of(text, key)
     name = last_of(key)
     indentation = re.match(" *", lines[line - 1]).group()
     lines.insert(line - 1, f"{indentation}{name}: twice")
-    error = refused("\n".join(lines))
+    error = refusal("\n".join(lines))
     assert error.code == "CONFIG-YAML"
     assert repr(name) in error.what
     assert error.where.endswith(f":{line + 1}")
@@ -749,9 +699,6 @@ def test_a_key_that_stands_there_twice_is_refused(refused, key):
         "!!python/object/apply:os.system ['touch owned']",
         "mission: !!python/object/apply:os.system ['touch owned']",
         "mission: {name: !!python/name:os.system }",
-        "a: [1, 2",
-        "\tmission: 1",
-        "mission: {name: x",
         "a: &x [*x]\nb: *y",
         "? [a, b]\n: 1",
         "? {a: b}\n: 1",
@@ -761,16 +708,13 @@ def test_a_key_that_stands_there_twice_is_refused(refused, key):
         "",
         "# nothing\n",
         "null",
-        "a: b: c",
         "mission: {name: a, <<: 7}",
         "--- {a: 1}\n--- {b: 2}\n",
-        "a: \x07",
-        "[" * 400,
     ],
 )
-def test_text_that_is_no_mission_file(refused, text, tmp_path, monkeypatch):
+def test_text_that_is_no_mission_file(refusal, text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert refused(text).code in (
+    assert refusal(text).code in (
         "CONFIG-YAML",
         "CONFIG-EMPTY",
         "CONFIG-INVALID",
@@ -779,51 +723,30 @@ def test_text_that_is_no_mission_file(refused, text, tmp_path, monkeypatch):
     assert not (tmp_path / "owned").exists()
 
 
-def test_bytes_that_are_no_text(tmp_path):
-    path = tmp_path / "mission.yaml"
-    for content in (b"\xff\xfe\x00\x01", bytes(range(256)) * 10, "mission".encode("utf-16")):
-        path.write_bytes(content)
-        with pytest.raises(ConfigError, match="CONFIG-"):
-            load_mission(path)
-    with helpers.refused("CONFIG-MISSING"):
-        load_mission(tmp_path / "none.yaml")
-    with helpers.refused("CONFIG-UNREADABLE"):
-        load_mission(tmp_path)
-
-
-def test_words_and_numbers_are_those_of_yaml_1_2(accepted, refused):
+def test_words_and_numbers_are_those_of_yaml_1_2(load, refusal):
     text = dumped(FULL)
     plain = text.replace("name: survey", "name: no").replace(
         "wavelength_m: 5.5e-07", "wavelength_m: 55e-8"
     )
     assert "55e-8" in plain
-    mission = accepted(plain)
+    mission = load(plain)
     assert mission.mission.name == "no"
     assert mission.atmosphere.wavelength_m == pytest.approx(0.55e-6)
     for word in ("on", "off", "yes", "y"):
-        assert accepted(text.replace("name: survey", f"name: {word}")).mission.name == word
-    assert accepted(text.replace("co2_ppm: 420.0", "co2_ppm: 0420")).atmosphere.co2_ppm == 420.0
-    for odd in ("1:30", "1_000", "0x10", "yes", "2024-05-01"):
-        assert "co2_ppm" in refused(text.replace("co2_ppm: 420.0", f"co2_ppm: {odd}")).what
+        assert load(text.replace("name: survey", f"name: {word}")).mission.name == word
+    assert load(text.replace("co2_ppm: 420.0", "co2_ppm: 0420")).atmosphere.co2_ppm == 420.0
+    for odd in ("1:30", "1_000", "0x10", "yes", "2024-05-01", "1e400"):
+        assert "co2_ppm" in refusal(text.replace("co2_ppm: 420.0", f"co2_ppm: {odd}")).what
 
 
-def test_every_mistake_is_told_at_once_in_the_order_of_the_file(refused):
+def test_every_mistake_is_told_at_once_in_the_order_of_the_file(refusal):
     spoilt = renamed(changed(FULL, "ground.reference", "sea"), "log.path", "pth")
     spoilt = changed(spoilt, "cameras.nadir.width_px", "wide")
-    text = refused(spoilt).what
+    text = refusal(spoilt).what
     assert "4 mistakes" in text
     lines = [int(n) for n in re.findall(r"line (\d+):", text)]
     assert lines == sorted(lines)
     assert len(lines) == 4
-
-
-def test_aliases_cannot_swell(refused):
-    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n"
-    for i in range(1, 30):
-        bomb += f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n"
-    refusal = refused(bomb)
-    assert refusal.code == "CONFIG-YAML"
-    assert "aliases (*) repeat their sections to more than 1000000 values" in refusal.what
 
 
 ORIENTATIONS = yaml.safe_load("""
@@ -846,34 +769,34 @@ ORIENTATIONS = yaml.safe_load("""
 
 
 @pytest.mark.parametrize(("changes", "words"), ORIENTATIONS)
-def test_an_orientation_that_says_too_little_or_too_much(refused, changes, words):
+def test_an_orientation_that_says_too_little_or_too_much(refusal, changes, words):
     orientation = GEOGRAPHIC | yaml.safe_load(changes)
     orientation_section = {key: value for key, value in orientation.items() if value is not None}
-    refusal = refused(oriented(orientation_section))
-    assert refusal.code == "CONFIG-INVALID"
-    assert words in refusal.what
+    refused = refusal(oriented(orientation_section))
+    assert refused.code == "CONFIG-INVALID"
+    assert words in refused.what
 
 
-def test_without_a_log_nothing_comes_from_a_log(refused, accepted):
-    assert "stations.orientation" in refused(without(FULL, "log")).what
+def test_without_a_log_nothing_comes_from_a_log(refusal, load):
+    assert "stations.orientation" in refusal(without(FULL, "log")).what
     no_log = oriented(GEOGRAPHIC)
-    accepted(no_log)
-    assert "there is no log" in refused(no_log | {"events": FULL["events"]}).what
+    load(no_log)
+    assert "there is no log" in refusal(no_log | {"events": FULL["events"]}).what
     camera = WITHOUT_WINDOW | {"window": {"cabin": "log"}}
     cameras = {"nadir": camera, "window": WITHOUT_WINDOW}
-    assert "there is no log" in refused(no_log | {"cameras": cameras}).what
+    assert "there is no log" in refusal(no_log | {"cameras": cameras}).what
     unknown = ORIENTED["stations"]["orientation"] | {"known_positions": "log"}
     del unknown["heights"]
-    assert "needs log and events" in refused(oriented(unknown)).what
+    assert "needs log and events" in refusal(oriented(unknown)).what
     air = {"board_temperature": True}
-    assert "log.channels.temperature" in refused(no_log | {"atmosphere": air}).what
+    assert "log.channels.temperature" in refusal(no_log | {"atmosphere": air}).what
 
 
-def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
+def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(load):
     content = copy.deepcopy(FULL)
     content["log"]["channels"] = {"temperature": None, "pressure": "BARO[0]"}
     content["atmosphere"].pop("board_temperature", None)  # it needs a named thermometer
-    channels = accepted(content).log.channels
+    channels = load(content).log.channels
     assert channels.empty == ("temperature",)
     assert list(channels.named()) == ["pressure"]
 
@@ -890,12 +813,6 @@ def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(accepted):
         ("remarks", "", "remarks"),
     ],
 )
-def test_what_the_report_cannot_state_is_refused(refused, key, value, words):
-    error = refused(FULL | {"mission": {"name": "survey", key: value}})
+def test_what_the_report_cannot_state_is_refused(refusal, key, value, words):
+    error = refusal(FULL | {"mission": {"name": "survey", key: value}})
     assert words in str(error)
-
-
-def test_the_title_is_in_any_letters_and_the_name_a_plain_word(accepted, refused):
-    mission = accepted(FULL | {"mission": {"name": "los-3", "title": "Zürich «Nord» 航空写真"}})
-    assert mission.mission.title == "Zürich «Nord» 航空写真"
-    assert "CONFIG" in refused(FULL | {"mission": {"name": "Zürich Nord"}}).code

@@ -3,6 +3,7 @@
 import copy
 import json
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -66,25 +67,8 @@ def spoil(tree, place: Place, value):
     tree[last] = value
 
 
-@pytest.fixture
-def refusal(tmp_path):
-    """The refusal of a mission file with these values, or this text."""
-
-    def attempt(content: dict[str, Any] | str) -> ConfigError:
-        text = content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False)
-        path = tmp_path / "mission.yaml"
-        path.write_text(text, "utf-8")
-        with pytest.raises(ConfigError) as caught:
-            load_mission(path)
-        return caught.value
-
-    return attempt
-
-
-def test_the_file_that_is_spoilt_is_sound(tmp_path):
-    path = tmp_path / "mission.yaml"
-    path.write_text(yaml.safe_dump(BASE), "utf-8")
-    load_mission(path)
+def test_the_file_that_is_spoilt_is_sound(load):
+    load(BASE)
 
 
 def test_no_phrase_of_a_library_reaches_the_user():
@@ -174,6 +158,15 @@ def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(ref
     assert "co2_ppm: 'much'" in refusal(tree).what
 
 
+def explosion() -> str:
+    """Ten lists of ten of the list before."""
+    text = "a: &a [x, x, x, x, x, x, x, x, x, x]\n"
+    for inner, outer in pairwise("abcdefghij"):
+        ten = ", ".join([f"*{inner}"] * 10)
+        text += f"{outer}: &{outer} [{ten}]\n"
+    return text
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -184,7 +177,16 @@ def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(ref
         ("a: !!python/name:os.system", "tags (!) are not allowed"),
         ("a: 1\na: 2", "the key 'a' occurs twice"),
         ("a: '\x01'", "here the text is not YAML"),
+        ("mission: {name: a, undulation_m: " + "9" * 5000 + "}", "a number has too many digits"),
+        ("mission: &m {name: *m}", "inside the section or list that it repeats"),
+        (explosion(), "more than 1000000 values"),
+        ("mission: {name: !!bool x}", "the text is not YAML"),
+        ("mission: {name: !!timestamp x}", "tags (!) are not allowed"),
+        ("mission: {name: !!timestamp 2026-05-14}", "tags (!) are not allowed"),
+        ("mission: " + "[" * 5000, "too many brackets are inside each other"),
+        ("mission: " + "- " * 5000, "the text is not YAML"),
     ],
+    ids=lambda text: text[:20],
 )
 def test_text_that_is_no_yaml_is_refused_in_plain_words(text, says, refusal):
     error = refusal(text)
@@ -302,14 +304,16 @@ def test_results_go_to_a_folder_that_is_not_named_as_a_file(name, refusal):
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("t.parquet", b"PAR1 and more\x00", "a Parquet table"),
-        ("t.csv", b"image,point,x,y\n1,2,3,4\n", "a table of text"),
-        ("a.jpg", b"\xff\xd8\xff\xe0\x00", "an image (JPEG)"),
-        ("a.db", b"SQLite format 3\x00", "a database"),
-        ("a.dat", bytes(range(256)), "not text in UTF-8"),
-        ("a.html", b"<!DOCTYPE html><html></html>", "a web page"),
-        ("a.xml", b"<?xml version='1.0'?><document/>", "XML"),
-        ("mission.schema.json", b'{"$schema": "x", "properties": {}}', "the JSON schema"),
+        ("t.parquet", b"PAR1 and more\x00", "is a Parquet table"),
+        ("t.csv", b"image,point,x,y\n1,2,3,4\n", "is a table of text"),
+        ("a.jpg", b"\xff\xd8\xff\xe0\x00", "is an image (JPEG)"),
+        ("a.db", b"SQLite format 3\x00", "is a database"),
+        ("a.dat", bytes(range(256)), "is not text in UTF-8"),
+        ("mission.yaml", b"\xff\xfe\x00\x01", "codec can"),
+        ("mission.yaml", "mission".encode("utf-16"), "codec can"),
+        ("a.html", b"<!DOCTYPE html><html></html>", "is a web page"),
+        ("a.xml", b"<?xml version='1.0'?><document/>", "is XML"),
+        ("mission.schema.json", b'{"$schema": "x", "properties": {}}', "is the JSON schema"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -317,7 +321,7 @@ def test_another_file_in_the_place_of_a_mission_file_is_named(tmp_path, name, co
     (tmp_path / name).write_bytes(content)
     with refused("CONFIG-UNREADABLE") as refusal:
         load_mission(tmp_path / name)
-    assert f"is {says}" in refusal.value.what
+    assert says in refusal.value.what
 
 
 def test_a_log_in_the_place_of_a_mission_file_is_named():

@@ -9,7 +9,6 @@ from unbend.batch.dask_executor import scheduler_address
 from unbend.config.campaign import open_configs
 from unbend.config.yaml_text import read_yaml
 from unbend.errors import UnbendError
-from unbend.ingest import open_log
 from unbend.tables.observation_files import open_file
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no named pipes")
@@ -29,9 +28,7 @@ def test_a_pipe_is_no_mission_file(pipe):
     assert ([mission.path for mission in missions], campaigns) == ([pipe], [])
 
 
-def test_a_pipe_is_no_log_no_table_and_no_file_of_a_scheduler(pipe):
-    with pytest.raises(UnbendError, match=r"^LOG-MISSING: it is a pipe or a device"):
-        open_log(pipe)
+def test_a_pipe_is_no_table_and_no_file_of_a_scheduler(pipe):
     for kind in ("csv", "colmap", "metashape"):
         with pytest.raises(UnbendError, match=r"^OBS-MISSING: "):
             open_file(pipe, kind)

@@ -11,11 +11,10 @@ from pathlib import Path
 
 import pytest
 
-import unbend
+from tests.contract.sources import is_string, nodes, strings, text_of
 from unbend import errors, exit_codes
 from unbend.report import explanations
 
-PACKAGE = Path(unbend.__file__).parent
 TESTS = Path(__file__).resolve().parents[1]
 
 REFUSALS = {
@@ -49,10 +48,9 @@ class Sent:
 
 def calls() -> Iterator[tuple[str, ast.Call]]:
     """All calls of the package, with their places."""
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Call):
-                yield f"{path.relative_to(PACKAGE)}:{node.lineno}", node
+    for name, node in nodes():
+        if isinstance(node, ast.Call):
+            yield f"{name}:{node.lineno}", node
 
 
 def defined_codes() -> list[tuple[str, str]]:
@@ -67,9 +65,9 @@ def defined_codes() -> list[tuple[str, str]]:
     ]
 
 
-def text_of(node: ast.expr | None) -> str | None:
+def literal(node: ast.expr | None) -> str | None:
     """A literal text, and None for what is put together."""
-    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+    if node is not None and is_string(node):
         return node.value
     return None
 
@@ -88,7 +86,7 @@ def sent() -> Iterator[Sent]:
         keywords = {word.arg: word.value for word in call.keywords if word.arg}
         parts = {"text": arguments[1] if len(arguments) > 1 else keywords.get("text")}
         parts |= {name: keywords[name] for name in ("one", "remedy") if name in keywords}
-        texts = {name: text for name, node in parts.items() if (text := text_of(node)) is not None}
+        texts = {name: text for name, node in parts.items() if (text := literal(node)) is not None}
         yield Sent(
             place=place,
             kind=kind,
@@ -99,14 +97,6 @@ def sent() -> Iterator[Sent]:
         )
 
 
-def strings(tree: ast.Module) -> Iterator[str]:
-    """The literal strings of a module that it works with: no remark, no docstring."""
-    idle = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in idle:
-            yield node.value
-
-
 @pytest.fixture(scope="module")
 def said_in_tests() -> set[str]:
     """Every whole code in a string of a test."""
@@ -115,7 +105,7 @@ def said_in_tests() -> set[str]:
         code
         for path in sorted(TESTS.rglob("*.py"))
         if path.resolve() != here
-        for text in strings(ast.parse(path.read_text("utf-8")))
+        for _, text in strings(ast.parse(text_of(path)))
         for code in re.findall(r"\b(?:[A-Z0-9]+(?:-[A-Z0-9]+)+|ROLE)\b", text)
     }
 
@@ -132,8 +122,7 @@ def test_every_code_is_used():
     """By the constant that holds it, which is named after it."""
     used = {
         node.id if isinstance(node, ast.Name) else node.attr
-        for path in PACKAGE.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        for _, node in nodes()
         if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load)
     }
     idle = {name for name, _ in defined_codes() if name.replace("-", "_") not in used}
@@ -188,7 +177,7 @@ def test_every_exit_code_is_explained():
 
 def test_only_strings_at_work_count():
     code = ast.parse('"""A-1"""\n# B-2\ndef f():\n    "C-3"\n    return "D-4"')
-    assert list(strings(code)) == ["D-4"]
+    assert list(strings(code)) == [(5, "D-4")]
 
 
 def test_every_refusal_says_what_to_do():

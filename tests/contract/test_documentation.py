@@ -20,8 +20,8 @@ import yaml
 
 from docs import snippets
 from tests.conftest import run_command
+from tests.contract.sources import ROOT, text_of
 
-ROOT = Path(__file__).resolve().parents[2]
 EVERY = os.environ.get("UNBEND_SNIPPETS") == "all"
 PAGES = {page.relative_to(ROOT).as_posix(): page for page in snippets.pages()}
 TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -69,7 +69,7 @@ def help_text(command: str) -> str:
     ids=lambda page: page.name,
 )
 def test_every_command_in_a_sentence_exists(page):
-    text = re.sub(r"^( *)```.*?^\1```", "", page.read_text("utf-8"), flags=re.M | re.S)
+    text = re.sub(r"^( *)```.*?^\1```", "", text_of(page), flags=re.M | re.S)
     text = re.sub(r"\\\n *", "", text)  # a line that goes on in the next
     shown = re.findall(r"`unbend ([^`]+)`", text) + re.findall(r"^ {4}unbend ([^#\n]+)", text, re.M)
     for line in shown:
@@ -93,7 +93,7 @@ def test_the_readme_has_a_mission_in_twenty_lines():
 
 
 def test_the_angle_is_what_it_says(unbend):
-    text = (ROOT / "docs" / "pages" / "guide" / "exact.md").read_text("utf-8")
+    text = text_of(ROOT / "docs" / "pages" / "guide" / "exact.md")
     found = re.search(r"    unbend (angle .*\\\n.*)\n\s*\ngives ([0-9.]+) arcsec", text)
     assert found is not None
     words = found[1].replace("\\\n", " ").split()
@@ -102,7 +102,7 @@ def test_the_angle_is_what_it_says(unbend):
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ids=str)
 def test_links_of_the_repository_are_files(page):
-    for link in re.findall(r"\]\(([^)#]+)", page.read_text("utf-8")):
+    for link in re.findall(r"\]\(([^)#]+)", text_of(page)):
         assert (page.parent / link).exists(), link
 
 
@@ -159,7 +159,7 @@ def site(site_folder: Path) -> dict[Path, Links]:
     found = {}
     for page in site_folder.rglob("*.html"):
         found[page] = Links()
-        found[page].feed(page.read_text("utf-8"))
+        found[page].feed(text_of(page))
     return found
 
 
@@ -191,7 +191,7 @@ def test_the_site_loads_nothing_from_a_network(site, site_folder):
 def test_equations_are_mathml(site):
     """No equation is left to a script."""
     for page in site:
-        text = page.read_text("utf-8")
+        text = text_of(page)
         assert 'class="arithmatex"' not in text, page.name
 
 
@@ -240,8 +240,7 @@ def test_the_glossary_names_things_as_other_programs_do(site_folder):
 def test_no_page_of_codes_is_long(site_folder):
     """One page a family: none has more than a tenth of all codes."""
     counts = {
-        page.stem: page.read_text("utf-8").count("<h2 id=")
-        for page in (site_folder / "codes").glob("*.html")
+        page.stem: text_of(page).count("<h2 id=") for page in (site_folder / "codes").glob("*.html")
     }
     assert len(counts) > 50
     assert max(counts.values()) <= sum(counts.values()) / 10
@@ -251,7 +250,7 @@ def test_the_first_level_of_the_navigation_has_what_is_looked_for():
     class Loader(yaml.SafeLoader):
         """mkdocs' own tags do not matter here."""
 
-    text = (ROOT / "docs" / "mkdocs.yml").read_text("utf-8")
+    text = text_of(ROOT / "docs" / "mkdocs.yml")
     entries = yaml.load(text, Loader)["nav"]
     first = {name for entry in entries if isinstance(entry, dict) for name in entry}
     assert first >= {"Limits", "Verification", "Glossary", "Codes", "Cost and accuracy", "Python"}

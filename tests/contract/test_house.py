@@ -5,19 +5,13 @@
 
 import ast
 import re
-import sys
 from collections import defaultdict
 from pathlib import Path
 
 import pytest
 
-import unbend
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-import house
-
-PACKAGE = Path(unbend.__file__).parent
+from tests.contract import house
+from tests.contract.sources import PACKAGE, ROOT, text_of, trees
 
 # The same module name in several rooms, where it is the same thing seen from each.
 SAME_THING = {
@@ -30,7 +24,6 @@ SAME_THING = {
 }  # fmt: skip
 
 
-ROOT = Path(__file__).resolve().parents[2]
 SHORTEST = 30  # code lines of a module whose density says anything
 
 
@@ -70,10 +63,10 @@ def several(files: dict[str, list[str]]) -> dict[str, list[str]]:
 
 def test_no_two_public_classes_have_the_same_name():
     files: dict[str, list[str]] = defaultdict(list)
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.parse(path.read_text("utf-8")).body:
+    for name, tree in trees().items():
+        for node in tree.body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                files[node.name].append(path.relative_to(PACKAGE).as_posix())
+                files[node.name].append(name)
     twice = several(files)
     assert not twice, twice
 
@@ -92,7 +85,7 @@ def test_the_same_choices_stand_in_one_order():
     """Python keeps one of several ``Literal`` that are equal: the schema would follow imports."""
     orders: dict[frozenset[str], str] = {}
     for path in sorted(PACKAGE.rglob("*.py")):
-        for choices in re.findall(r"Literal\[([^\]]*)\]", path.read_text("utf-8")):
+        for choices in re.findall(r"Literal\[([^\]]*)\]", text_of(path)):
             names = frozenset(map(str.strip, choices.split(",")))
             assert orders.setdefault(names, choices) == choices, path
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.contract.sources import PACKAGE, ROOT, text_of
 
 
 def python(code: str, *options: str) -> str:
@@ -67,6 +67,6 @@ def test_importing_warns_of_nothing(module):
 
 def test_no_assert_in_the_package():
     """`python -O` must refuse what `python` refuses."""
-    for path in (ROOT / "pipeline" / "unbend").rglob("*.py"):
-        for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
+    for path in PACKAGE.rglob("*.py"):
+        for number, line in enumerate(text_of(path).splitlines(), 1):
             assert not line.lstrip().startswith("assert "), f"{path}:{number}"

@@ -1,33 +1,28 @@
 """The locks hold what pyproject.toml asks for; what is at fault beside them is found."""
 
 import re
-import sys
-import tomllib
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-sys.path.insert(0, str(Path(__file__).parent))
+from tests.contract.bounds import at_fault
+from tests.contract.sources import PROJECT, ROOT, text_of
 
-from bounds import at_fault
-
-ROOT = Path(__file__).resolve().parents[2]
+OF_PROJECT = PROJECT["project"]
 LOCKS = ROOT / ".locks"
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 FILES = ("main", "cluster", "build", "test")
 
 
-def text_of(name: str) -> str:
-    return (LOCKS / f"{name}.txt").read_text("utf-8")
+def text_of_lock(name: str) -> str:
+    return text_of(LOCKS / f"{name}.txt")
 
 
 def pins(name: str) -> set[tuple[str, str]]:
     """Names and versions of a lock; a name may have several, for several Pythons."""
     pinned = set()
-    for match in re.finditer(r"^([\w.-]+)==([^\s;\\]+)", text_of(name), re.MULTILINE):
+    for match in re.finditer(r"^([\w.-]+)==([^\s;\\]+)", text_of_lock(name), re.MULTILINE):
         release, version = match.groups()
         pinned.add((canonicalize_name(release), version))
     return pinned
@@ -35,7 +30,7 @@ def pins(name: str) -> set[tuple[str, str]]:
 
 @pytest.mark.parametrize("name", FILES)
 def test_every_release_has_hashes_and_no_registry_is_named(name):
-    text = text_of(name)
+    text = text_of_lock(name)
     entries = re.split(r"^(?=[\w.-]+==)", text, flags=re.MULTILINE)[1:]
     assert len(entries) >= len(pins(name))
     for entry in entries:
@@ -57,14 +52,14 @@ def test_a_smaller_lock_is_a_part_of_the_whole(name):
     ],
 )
 def test_a_lock_holds_what_pyproject_asks_for(lock, extras):
-    asked = list(PROJECT["dependencies"])
+    asked = list(OF_PROJECT["dependencies"])
     for extra in extras:
-        asked.extend(PROJECT["optional-dependencies"][extra])
+        asked.extend(OF_PROJECT["optional-dependencies"][extra])
     locked = pins(lock)
     for requirement in map(Requirement, asked):
         name = canonicalize_name(requirement.name)
         versions = [version for release, version in locked if release == name]
-        if name != PROJECT["name"]:
+        if name != OF_PROJECT["name"]:
             assert versions, f"{requirement} is not in the lock: make lock"
         for version in versions:
             assert version in requirement.specifier, f"{requirement}: make lock"

@@ -14,11 +14,9 @@ from typing import Any
 
 import pytest
 
-import unbend
+from tests.contract.sources import PACKAGE
 from unbend.errors import UnbendError
 from unbend.messages import Kind, Message
-
-PACKAGE = Path(unbend.__file__).parent
 
 
 def makers() -> Iterator[Callable[..., Any]]:

@@ -6,13 +6,12 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from docs import notebooks
+from tests.contract.sources import ROOT, text_of
 
-ROOT = Path(__file__).resolve().parents[2]
 PATHS = {path.stem: path for path in notebooks.notebooks()}
 MACHINE = re.compile(r"/(?:tmp|home|root|Users|usr|opt|work)/|[A-Z]:\\|site-packages")
 
@@ -39,7 +38,7 @@ def test_a_notebook_prints_what_it_shows(name):
 
 @pytest.mark.parametrize("name", PATHS)
 def test_a_notebook_is_kept_without_what_belongs_to_a_machine(name):
-    notebook = json.loads(PATHS[name].read_text("utf-8"))
+    notebook = json.loads(text_of(PATHS[name]))
     assert set(notebook["metadata"]) == {"kernelspec", "language_info"}
     for cell in notebook["cells"]:
         assert not MACHINE.search("".join(cell["source"]))

@@ -4,22 +4,19 @@ import importlib.metadata
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
 
 import unbend
+from tests.contract.sources import PROJECT, ROOT, text_of
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch.runs import run_mission
 from unbend.config import load_mission
 from unbend.ingest import open_log
 from unbend.library import correct
 from unbend.refraction import correct_observations, refraction_angle
-
-ROOT = Path(__file__).resolve().parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 
 MAIN_NAMES = {
     "correct": correct,
@@ -47,7 +44,7 @@ def test_a_name_that_does_not_exist_is_an_attribute_error():
 def test_the_version_stands_in_one_place():
     assert "version" not in PROJECT["project"]
     assert PROJECT["tool"]["hatch"]["version"]["path"] == "pipeline/unbend/__init__.py"
-    changelog = (ROOT / "docs" / "changelog.md").read_text("utf-8")
+    changelog = text_of(ROOT / "docs" / "changelog.md")
     newest = re.search(r"^## .*?(\d+\.\d+\.\d+)", changelog, re.MULTILINE)
     assert newest is not None
     assert newest[1] == unbend.__version__
@@ -55,14 +52,14 @@ def test_the_version_stands_in_one_place():
 
 
 def test_each_version_of_the_changelog_is_a_dozen_lines():
-    changelog = (ROOT / "docs" / "changelog.md").read_text("utf-8")
+    changelog = text_of(ROOT / "docs" / "changelog.md")
     for section in re.split(r"^## ", changelog, flags=re.MULTILINE)[1:]:
         title, *lines = section.strip().splitlines()
         assert sum(bool(line.strip()) for line in lines) <= 16, title
 
 
 def test_the_licence_is_apache():
-    text = (ROOT / "LICENSE").read_text("utf-8")
+    text = text_of(ROOT / "LICENSE")
     assert "Apache License" in text
     assert "Version 2.0, January 2004" in text
     assert "APPENDIX: How to apply the Apache License to your work." in text
@@ -71,7 +68,7 @@ def test_the_licence_is_apache():
 
 
 def citation() -> dict:
-    return yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    return yaml.safe_load(text_of(ROOT / "CITATION.cff"))
 
 
 def test_the_citation_names_the_three_papers():
@@ -89,7 +86,7 @@ def test_the_citation_names_the_three_papers():
 
 
 def test_types_and_tables_lie_in_the_package():
-    package = Path(unbend.__file__).parent
+    package = Path(unbend.__file__).parent  # as installed
     assert (package / "py.typed").is_file()
     tables = {path.name for path in package.rglob("*.csv")}
     assert {"standard_atmospheres.csv", "supplements1966.csv", "gyer1996_tables3_4.csv"} <= tables
@@ -123,7 +120,7 @@ def test_a_script_that_no_test_runs_starts(script: str):
 
 
 def test_what_the_makefile_runs_is_there():
-    makefile = (ROOT / "Makefile").read_text("utf-8")
+    makefile = text_of(ROOT / "Makefile")
     paths = set(re.findall(r"\b(?:tests|benchmarks|docs)/[\w/]+(?:\.\w+)?", makefile))
     made = {"docs/site", "docs/site/index.html"}  # the site is built by it
     assert [path for path in sorted(paths - made) if not (ROOT / path).exists()] == []

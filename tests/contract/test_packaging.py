@@ -1,9 +1,7 @@
 """The conda recipe and the container file agree with pyproject.toml; one field has the address."""
 
 import re
-import tomllib
 from email.message import Message
-from pathlib import Path
 
 import pytest
 import yaml
@@ -11,14 +9,11 @@ from packaging.requirements import Requirement
 
 import unbend
 from docs import reference
+from tests.contract.sources import PROJECT, ROOT, text_of
 from unbend.cli.app import print_bug
 
-ROOT = Path(__file__).resolve().parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-RECIPE = yaml.safe_load(
-    (ROOT / "packaging" / "conda" / "recipe" / "recipe.yaml").read_text("utf-8")
-)
-CONTAINER = (ROOT / "packaging" / "Containerfile").read_text("utf-8")
+RECIPE = yaml.safe_load(text_of(ROOT / "packaging" / "conda" / "recipe" / "recipe.yaml"))
+CONTAINER = text_of(ROOT / "packaging" / "Containerfile")
 
 CONDA_NAMES = {"matplotlib": "matplotlib-base"}
 """Packages with another name on conda-forge: there `matplotlib` brings a window system too."""
@@ -75,7 +70,7 @@ def test_what_the_container_copies_and_installs_exists():
 
 
 def test_the_install_page_names_every_extra():
-    page = (ROOT / "docs" / "pages" / "install.md").read_text("utf-8")
+    page = text_of(ROOT / "docs" / "pages" / "install.md")
     extras = set(PROJECT["project"]["optional-dependencies"]) - {"test", "docs"}
     assert set(re.findall(r'`pip install "\.\[(\w+)\]"`', page)) == extras
     cluster = "`rasters`, `nwp`, `dask` and `cloud`"  # as `make lock` gives them to cluster.txt

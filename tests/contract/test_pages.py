@@ -2,16 +2,12 @@
 
 import doctest
 import re
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.contract.sources import ROOT, text_of
+
 FENCE = re.compile(r"^```pycon\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-
-
-def text_of(path: Path) -> str:
-    return path.read_text("utf-8")
 
 
 PAGES = [path for path in sorted(ROOT.glob("docs/**/*.md")) if FENCE.search(text_of(path))]

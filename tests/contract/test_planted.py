@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
+from tests.contract.sources import ROOT, text_of
 from tests.planted.changes import Source, changes_of
 from tests.planted.draw import drawn_bugs
 
-ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "tests" / "planted").glob("*.toml"))
-CONTENTS = {path.stem: tomllib.loads(path.read_text("utf-8")) for path in FILES}
+CONTENTS = {path.stem: tomllib.loads(text_of(path)) for path in FILES}
 BUGS = [
     pytest.param(bug, id=f"{room}-{number}")
     for room, content in CONTENTS.items()
@@ -38,7 +38,7 @@ def test_a_bug_can_be_planted(bug: dict[str, Any]):
         <= {"file", "before", "after", "what", "first"}
     )
     assert bug["file"].startswith("pipeline/unbend/")
-    text = (ROOT / bug["file"]).read_text("utf-8")
+    text = text_of(ROOT / bug["file"])
     assert text.count(bug["before"]) == 1, f"'before' stands {text.count(bug['before'])} times"
     assert bug["before"] != bug["after"]
     if bug["file"].endswith(".py"):
@@ -60,7 +60,7 @@ def test_a_seed_draws_bugs_that_can_be_planted():
     bugs = drawn_bugs(12, seed=1)
     assert bugs == drawn_bugs(12, seed=1) != drawn_bugs(12, seed=2)
     for bug in bugs:
-        text = (ROOT / bug.file).read_text("utf-8")
+        text = text_of(ROOT / bug.file)
         assert text.count(bug.before) == 1
         planted = ast.parse(text.replace(bug.before, bug.after))
         assert ast.dump(planted) != ast.dump(ast.parse(text)), bug

@@ -2,12 +2,11 @@
 
 import ast
 import re
-from pathlib import Path
 
+from tests.contract.sources import is_string, nodes
 from unbend.atmosphere.soundings.formats import PLACE_COLUMNS, PLAIN_COLUMNS
 from unbend.config import Mission
 
-PACKAGE = Path(__file__).resolve().parents[2] / "pipeline" / "unbend"
 OF_FILES = {"calibrated_camera_parameters", "tp_pix4d"}
 """Parts of names of files that Pix4D writes."""
 
@@ -29,15 +28,12 @@ def is_remedy(node: ast.AST) -> bool:
 def words_of_remedies() -> dict[str, set[str]]:
     """Every word with an underscore in a remedy of the package, and the files that have it."""
     files: dict[str, set[str]] = {}
-    for path in PACKAGE.rglob("*.py"):
-        tree = ast.parse(path.read_text("utf-8"))
-        for node in filter(is_remedy, ast.walk(tree)):
-            for part in ast.walk(node.value):
-                text = ""
-                if isinstance(part, ast.Constant):
-                    text = str(part.value)
-                for word in WORD.findall(text):
-                    files.setdefault(word, set()).add(path.name)
+    for name, node in nodes():
+        if not is_remedy(node):
+            continue
+        for part in filter(is_string, ast.walk(node.value)):
+            for word in WORD.findall(part.value):
+                files.setdefault(word, set()).add(name)
     return files
 
 

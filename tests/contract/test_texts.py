@@ -4,14 +4,12 @@ import ast
 import re
 import tomllib
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import yaml
 
-import unbend
+from tests.contract.sources import PACKAGE, ROOT, is_string, nodes, strings, text_of, trees
 
-PACKAGE = Path(unbend.__file__).parent
 PERSON = re.compile(
     r"\b(?:you|your|yours|yourself|we|our|ours|ourselves|us|my|mine|myself|me)\b(?!-)|\bI\b(?!-)",
     re.IGNORECASE,
@@ -22,15 +20,9 @@ NO_PERSON = re.compile(r"\bUS\b|\bi\b|\[[^]]*\bus\b[^]]*\]|[0-9] ?us\b")
 
 def texts(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """Strings of a module with a space in them that are no docstrings: what somebody may read."""
-    idle = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
-        if (
-            isinstance(node, ast.Constant)
-            and isinstance(node.value, str)
-            and id(node) not in idle
-            and " " in node.value.strip()
-        ):
-            yield node.lineno, node.value
+    for line, text in strings(tree):
+        if " " in text.strip():
+            yield line, text
 
 
 def help_texts(tree: ast.Module) -> Iterator[tuple[int, str]]:
@@ -48,15 +40,13 @@ PRIVATE = re.compile(
     r"\b(?:told|doubtful|believ\w*|betray\w*|widened|heed\w*|feign\w*|honest\w*)\b", re.IGNORECASE
 )
 """Words of this program for what has a name in the field: reported, sigma inflation factor, ..."""
-ROOT = PACKAGE.parents[1]
 
 
 def test_texts_have_no_private_words():
     wrong = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
-                wrong += [f"{path.name}:{node.lineno}: {w}" for w in PRIVATE.findall(node.value)]
+    for name, node in nodes():
+        if is_string(node) and " " in node.value:
+            wrong += [f"{name}:{node.lineno}: {word}" for word in PRIVATE.findall(node.value)]
     changes = ("changelog.md", "changelog_details.md")
     pages = [
         ROOT / "README.md",
@@ -65,7 +55,7 @@ def test_texts_have_no_private_words():
         *PACKAGE.rglob("*.j2"),
     ]
     for path in pages:
-        for number, line in enumerate(path.read_text("utf-8").splitlines(), start=1):
+        for number, line in enumerate(text_of(path).splitlines(), start=1):
             wrong += [f"{path.name}:{number}: {word}" for word in PRIVATE.findall(line)]
     assert not wrong, "\n".join(wrong)
 
@@ -78,12 +68,11 @@ def test_private_words_are_noticed(text):
 
 def test_texts_have_no_first_or_second_person():
     wrong = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        tree = ast.parse(path.read_text("utf-8"))
-        room = path.relative_to(PACKAGE).parts[0]
+    for name, tree in trees().items():
+        room, _, _ = name.partition("/")
         shown = [*texts(tree), *(help_texts(tree) if room in ("cli", "config") else ())]
         wrong += [
-            f"{path.relative_to(PACKAGE)}:{line}: {words} in {text.strip()[:80]!r}"
+            f"{name}:{line}: {words} in {text.strip()[:80]!r}"
             for line, text in shown
             if (words := persons_in(text))
         ]
@@ -209,9 +198,7 @@ def texts_of_the_program() -> Iterator[tuple[str, str]]:
     Messages, labels and the reasons in them are strings with a space in the modules. The docstring
     of a command is its help, that of a section of the mission file is in the schema.
     """
-    for path in sorted(PACKAGE.rglob("*.py")):
-        tree = ast.parse(path.read_text("utf-8"))
-        place = path.relative_to(PACKAGE).as_posix()
+    for place, tree in trees().items():
         for line, text in texts(tree):
             yield f"{place}:{line}", text
         for node in ast.walk(tree):
@@ -224,10 +211,10 @@ def texts_of_the_program() -> Iterator[tuple[str, str]]:
     for path in sorted(PACKAGE.rglob("*.toml")):
         place = path.relative_to(PACKAGE).as_posix()
         if place not in NOT_SHOWN:
-            for text in strings_of_toml(tomllib.loads(path.read_text("utf-8"))):
+            for text in strings_of_toml(tomllib.loads(text_of(path))):
                 yield place, text
     for path in sorted(PACKAGE.rglob("*.j2")):
-        yield path.name, JINJA.sub(" ", path.read_text("utf-8"))
+        yield path.name, JINJA.sub(" ", text_of(path))
 
 
 def habits_of_a_text(text: str) -> list[str]:
@@ -293,19 +280,19 @@ def test_all_kinds_of_texts_of_the_program_are_read():
 
 @pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
 def test_a_page_has_plain_words(page):
-    assert not habits_in(page.read_text("utf-8"))
+    assert not habits_in(text_of(page))
 
 
 @pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
 def test_paragraphs_of_a_page_are_short(page):
-    paragraphs = paragraphs_of(page.read_text("utf-8"))
+    paragraphs = paragraphs_of(text_of(page))
     assert not [text for text in paragraphs if len(text.split()) > MOST_WORDS]
 
 
 @pytest.mark.parametrize("page", WRITTEN_PAGES, ids=lambda page: page.name)
 def test_code_of_a_page_fits_a_small_screen(page):
     """What the program printed (`console`) has the width that it was printed with."""
-    text = page.read_text("utf-8")
+    text = text_of(page)
     fenced = [body for _, kind, body in FENCED.findall(text) if kind != "console"]
     indented = re.findall(r"^ {4}(?! *[|*]).*$", FENCED.sub("\n", text), re.MULTILINE)
     lines = [line for body in fenced for line in body.splitlines()] + indented

@@ -7,12 +7,18 @@ import os
 import random
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.draws import SEED
+from tests.faults.extreme_tables import PLACE_COLUMNS, UTC
 from tests.faults.mutate import Recipe, Trial, recipes
+from unbend.flight.channels import Channel
+from unbend.messages import Ledger, Message
+from unbend.tables.imports.stated import Stated
+from unbend.tables.imports.user_trajectories import read_trajectory_csv
 
 CORPUS = Path(__file__).with_name("corpus")
 """Failures found once: FORMAT.csv has a name that says what it was, file, kind and seed."""
@@ -80,6 +86,23 @@ def write(tmp_path: Path) -> Callable[[str, Iterable[str]], Path]:
 
 
 @pytest.fixture
+def trajectory_of(write):
+    """Reads rows with places and more columns: the channel, and the losses by their codes."""
+
+    def read(
+        rows: list[str], stated: Stated = UTC, **more: str
+    ) -> tuple[Channel, dict[str, Message]]:
+        columns = {"time": "t"} | PLACE_COLUMNS | more
+        path = write("flight.csv", [",".join(columns.values()), *rows])
+        ledger = Ledger()
+        channel = read_trajectory_csv(path, replace(stated, columns=columns), ledger)
+        losses = {entry.code: entry for entry in ledger if entry.kind == "loss"}
+        return channel, losses
+
+    return read
+
+
+@pytest.fixture
 def run_corpus() -> Callable[[Trial, str, set[str]], None]:
     """Reads what once failed in a format, which must end in one of these ways."""
 
@@ -87,7 +110,11 @@ def run_corpus() -> Callable[[Trial, str, set[str]], None]:
         before = list(trial.failures)
         with (CORPUS / f"{name}.csv").open(encoding="utf-8", newline="") as stream:
             for row in csv.DictReader(stream):
-                recipe = Recipe(int(row["file"]), int(row["kind"]), int(row["seed"]))
+                recipe = Recipe(
+                    int(row["file"]),
+                    int(row["kind"]),
+                    int(row["seed"]),
+                )
                 assert trial.run(recipe) in allowed, row["name"]
         assert trial.failures == before
 

@@ -25,7 +25,15 @@ from unbend.errors import UnbendError
 from unbend.tables.imports import blocks
 from unbend.tables.imports.exif import read_gimbal_orientations, read_image_times
 
-BLOCK_PROGRAMS = ("colmap", "opensfm", "metashape", "pix4d", "blocksexchange", "dbat")
+BLOCK_PROGRAMS = {
+    "colmap": ".",
+    "opensfm": ".",
+    "metashape": "doc.xml",
+    "pix4d": ".",
+    "blocksexchange": "block.xml",
+    "dbat": "sxb.xml",
+}
+"""Programs, and the path in a folder that is given to the reader."""
 
 
 def read_block(path: Path, program: str) -> object:
@@ -74,14 +82,7 @@ def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
         for mark in ("markpts.txt", "smartpts.txt"):
             path = folder / "dbat" / mark
             path.write_text("\n".join(path.read_text().splitlines()[:40]) + "\n")
-        for kind, start in {
-            "colmap": ".",
-            "opensfm": ".",
-            "metashape": "doc.xml",
-            "pix4d": ".",
-            "blocksexchange": "block.xml",
-            "dbat": "sxb.xml",
-        }.items():
+        for kind, start in BLOCK_PROGRAMS.items():
             files = {}
             for path in sorted((folder / kind).iterdir()):
                 files[path.name] = path.read_text(encoding="utf-8")

@@ -23,12 +23,17 @@ LONG_OF_MANY = 2000  # characters of each where there are more
 WORDS = (
     "0",
     "-1",
+    "-5",
     str(2**31),
     str(2**32),
+    str(2**53 + 1),
     str(2**63 - 1),
     str(2**63),
+    str(2**64 - 1),
     str(2**64),
+    str(-(2**63)),
     str(-(2**63) - 1),
+    "1e3",
     "1e18",
     "1e19",
     "1e308",
@@ -62,6 +67,7 @@ WORDS = (
     "9999-12-31T23:59:59.999999999Z",
     "10000-01-01T00:00:00Z",
     "-0001-01-01T00:00:00Z",
+    "-9999-01-01",
     "1677-09-21T00:12:43",
     "2262-04-11T23:47:17Z",
     "0001-01-01T00:00:00+23:59",
@@ -161,7 +167,7 @@ def of_text(name: str, text: str, read: Callable[[Path, Ledger], object]) -> Rea
 
 NUMBERS = (
     0.0, -0.0, 1.0, -1.0, 2.0**31, 2.0**32, 2.0**63, 2.0**64, 1e18, 1e19, 1e308, -1e308, 5e-324,
-    np.nan, np.inf, -np.inf, 9.97e36, -9999.0, 1e20,
+    np.nan, np.inf, -np.inf, 9.97e36, -9999.0, 1e20, 3.4e38,
 )  # fmt: skip
 
 
@@ -185,7 +191,10 @@ def extreme_number(kind: np.dtype[Any], draw: random.Random) -> Any:
         number = draw.choice((limits.min, limits.min + 1, limits.max, 0, -1))
         return np.array(number, np.int64).view(kind)
     limits = np.iinfo(kind)
-    return kind.type(draw.choice((limits.min, limits.max, 0, 1, limits.max // 2)))
+    negative = max(-1, limits.min)
+    middle = limits.max // 2
+    numbers = (limits.min, limits.max, 0, 1, negative, middle, middle + 1)
+    return kind.type(draw.choice(numbers))
 
 
 # What a result may hold: nothing infinite, no number beyond all that is measured, no other times.

@@ -20,6 +20,7 @@ from tests.faults.extreme_inputs import (
     of_text,
     with_ledger,
 )
+from tests.tables.imports.flights import Flight
 from unbend.messages import Ledger
 from unbend.tables.geodata.object_points import read_object_points
 from unbend.tables.imports.camera_events import read_eo_text, read_mrk
@@ -344,14 +345,7 @@ def write_doubles(path: Path, values: np.ndarray) -> None:
     path.write_bytes(values.astype("<f8").tobytes())
 
 
-def sbet_row(k: int) -> list[float]:
-    return [
-        TOW + 0.1 * k, 0.8255, 0.1484 + 1e-7 * k, 1500.0, 0.0, 4.5, 0.0, 0.01, 0.02, 1.5, 0.001,
-        0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-    ]  # fmt: skip
-
-
-SBET = np.array([sbet_row(k) for k in range(20)])
+SBET = Flight(Path(), 0.1 * np.arange(20)).sbet_rows()
 SMRMSG = np.array([[TOW + 0.2 * k, *[0.03] * 6, 0.6, 0.8, 3.0] for k in range(-2, 20)])
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import random
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from scipy.io import netcdf_file
+from xarray import Dataset
 
+from tests import model_files
 from tests.faults.extreme_inputs import (
     Reader,
     extreme_number,
@@ -16,6 +19,8 @@ from tests.faults.extreme_inputs import (
     with_ledger,
 )
 from tests.faults.extreme_tables import DAY, NOON_NS, UNIX_S
+from tests.tables.arm_sounding import CELSIUS, HECTOPASCAL, HEIGHT, VARIABLES, write_arm
+from tests.tables.test_model_fields import still_air
 from unbend.atmosphere.surface_report import parse_metar
 from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import read_geoid
@@ -24,11 +29,8 @@ from unbend.tables.soundings import read_sounding
 from unbend.tables.weather_files import contents_of
 
 SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "sounding_files"
-RISE = np.arange(0.0, 6000.0, 500.0)
-CELSIUS = 15.0 - 0.0065 * RISE
-HECTOPASCALS = 1013.25 * ((CELSIUS + 273.15) / 288.15) ** 5.255877
 PLAIN_SOUNDING = "h_m,pressure_hpa,temperature_c,dew_point_c,time_utc,latitude_deg,longitude_deg\n"
-for _h, _p, _t in zip(RISE, HECTOPASCALS, CELSIUS, strict=True):
+for _h, _p, _t in zip(HEIGHT, HECTOPASCAL, CELSIUS, strict=True):
     PLAIN_SOUNDING += f"{_h:.1f},{_p:.2f},{_t:.2f},{_t - 5.0:.2f},{DAY}T12:00:00Z,47.5,8.5\n"
 WYOMING_LIST = """72357 OUN Norman Observations at 12Z 06 May 2026
 
@@ -37,7 +39,7 @@ WYOMING_LIST = """72357 OUN Norman Observations at 12Z 06 May 2026
     hPa     m      C      C      %    g/kg    deg   knot     K      K      K
 -----------------------------------------------------------------------------
 """
-for _h, _p, _t in zip(RISE, HECTOPASCALS, CELSIUS, strict=True):
+for _h, _p, _t in zip(HEIGHT, HECTOPASCAL, CELSIUS, strict=True):
     WYOMING_LIST += f"{_p:7.1f}{_h:7.0f}{_t:7.1f}{_t - 5.0:7.1f}{70:7d}\n"
 WYOMING_LIST += """
 Station information and sounding indices
@@ -70,35 +72,19 @@ def head_of(name: str, lines: int = 30) -> str:
     return "\n".join(text.splitlines()[:lines]) + "\n"
 
 
-def write_arm(folder: Path, draw: random.Random) -> None:
-    """The netCDF of a radiosonde, one of whose variables is at its limits."""
-    size = RISE.size
-    columns = {
-        "base_time": np.array(UNIX_S, "i4"),
-        "time_offset": np.arange(size) * 60.0,
-        "lat": np.full(size, 36.6, "f4"),
-        "lon": np.full(size, -97.5, "f4"),
-        "pres": HECTOPASCALS,
-        "tdry": CELSIUS,
-        "dp": CELSIUS - 5.0,
-        "rh": np.full(size, 70.0),
-        "alt": RISE,
-    }
+def write_extreme_arm(folder: Path, draw: random.Random) -> None:
+    """The netCDF of a radiosonde, two of whose variables are at their limits."""
+    columns = VARIABLES | {"base_time": np.array(UNIX_S, "i4")}
     for name in draw.sample(list(columns), 2):
         kind = columns[name].dtype if draw.random() < 0.7 else np.dtype(draw.choice(("f8", "i4")))
         values = columns[name].astype(kind)
         if values.ndim:
-            rows = draw.choice((slice(None), draw.randrange(size)))
+            rows = draw.choice((slice(None), draw.randrange(values.size)))
             values[rows] = extreme_number(kind, draw)
         else:
             values = np.array(extreme_number(kind, draw), kind)
         columns[name] = values
-    with netcdf_file(folder / "sonde.cdf", "w") as file:
-        file.createDimension("time", size)
-        for name, values in columns.items():
-            on = ("time",) if values.ndim else ()
-            variable = file.createVariable(name, values.dtype, on)
-            variable[...] = values
+    write_arm(folder / "sonde.cdf", columns)
 
 
 WEATHER_NAMES = ("valid_time", "pressure_level", "latitude", "longitude", "t", "q", "z")
@@ -117,28 +103,24 @@ TIME_UNITS = (
 )
 
 
+@cache
+def weather_model() -> Dataset:
+    """Still air over three by three nodes at three hours."""
+    latitude_deg = (47.5, 47.25, 47.0)
+    longitude_deg = (8.25, 8.5, 8.75)
+    times = (f"{DAY}T{hour}:00" for hour in (11, 12, 13))
+    levels = (1000, 925, 850, 700, 500, 300)
+    return model_files.dataset(still_air, latitude_deg, longitude_deg, [*times], levels)
+
+
 def write_model(folder: Path, draw: random.Random) -> None:
     """The netCDF of a weather model, two of whose variables are at their limits."""
-    levels = np.array([1000.0, 925.0, 850.0, 700.0, 500.0, 300.0])
-    height = 44330.0 * (1.0 - (levels / 1013.25) ** 0.19)
-    shape = (3, levels.size, 3, 3)
-    on_levels = np.ones(shape) * (288.15 - 0.0065 * height)[:, None, None]
-    columns = {
-        "valid_time": (UNIX_S - 3600 * np.array([1, 0, -1])).astype(draw.choice(("i4", "f8"))),
-        "pressure_level": levels,
-        "latitude": np.array([47.5, 47.25, 47.0]),
-        "longitude": np.array([8.25, 8.5, 8.75]),
-        "t": on_levels,
-        "q": np.full(shape, 0.003),
-        "z": np.ones(shape) * (9.80665 * height)[:, None, None],
-    }
-    units = {
-        "valid_time": "seconds since 1970-01-01",
-        "pressure_level": "hPa",
-        "t": "K",
-        "q": "kg kg**-1",
-        "z": "m**2 s**-2",
-    }
+    fields = weather_model()
+    columns = {name: fields[name].values for name in WEATHER_NAMES}
+    units = {name: fields[name].attrs["units"] for name in ("pressure_level", "t", "q", "z")}
+    units["valid_time"] = "seconds since 1970-01-01"
+    seconds = columns["valid_time"].astype("datetime64[s]").astype(np.int64)
+    columns["valid_time"] = seconds.astype(draw.choice(("i4", "f8")))
     for name in draw.sample(WEATHER_NAMES, draw.choice((1, 1, 2))):
         columns[name] = extreme_numbers(columns[name], draw)
     if draw.random() < 0.2:
@@ -156,8 +138,7 @@ def write_model(folder: Path, draw: random.Random) -> None:
                 variable.units = units[name]
 
 
-def read_model(folder: Path) -> object:
-    path = folder / "model.nc"
+def read_weather_model(path: Path) -> object:
     area = FlightArea(
         np.radians([47.2, 47.3]), np.radians([8.4, 8.6]), np.array([NOON_NS, NOON_NS + 10**9])
     )
@@ -181,13 +162,13 @@ WEATHER = {
     "sounding of IGRA": sounding_of(head_of("igra2_USM*")),
     "sounding of IGRA, derived": sounding_of(head_of("igra2_derived*")),
     "sounding as netCDF": Reader(
-        write_arm,
+        write_extreme_arm,
         lambda folder: with_ledger(
             lambda ledger: read_sounding(folder / "sonde.cdf", ledger, time_ns=NOON_NS)
         ),
     ),
     "METAR": of_text("m.txt", f"2026/05/06 11:50 {REPORT}", read_report),
-    "weather model": Reader(write_model, read_model),
+    "weather model": Reader(write_model, lambda folder: read_weather_model(folder / "model.nc")),
 }
 
 # Grids

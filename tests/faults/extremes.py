@@ -5,44 +5,19 @@
 
 from __future__ import annotations
 
-import math
 import random
 import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from tests.faults import hostile
+import numpy as np
 
-WORDS = (
-    "-5",
-    "-1",
-    "0",
-    str(2**31),
-    str(2**53 + 1),
-    str(2**63 - 1),
-    str(2**63),
-    str(2**64 - 1),
-    str(2**64),
-    str(-(2**63)),
-    "9" * 400,
-    "nan",
-    "-nan",
-    "inf",
-    "-inf",
-    "1e400",
-    "-1e400",
-    "1e308",
-    "5e-324",
-    "-0.0",
-    "",
-    " ",
-    "x",
-    "1_0",
-    "٣",
-    "0x7",
-    "1e3",
-    "-9999-01-01",
-)
+from tests.faults import hostile
+from tests.faults.extreme_inputs import WORDS as ALL_WORDS
+from tests.faults.extreme_inputs import extreme_number
+from tests.ingest.written_logs import MavlinkWriter, blank_fields
+
+WORDS = [word for word in ALL_WORDS if len(word) <= 1000]
 JSON_VALUES = (
     "-5",
     "0",
@@ -71,19 +46,11 @@ JSON_VALUES = (
     '{"sec":99999999999999999999,"nsec":5}',
     '{"sec":[1],"nsec":{}}',
 )
-FLOATS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 3.4e38, -1.0)
 
 
 def extreme_value(letter: str, draw: random.Random) -> Any:
     """A value at a limit of a letter of struct."""
-    if letter in "efd":
-        value = draw.choice(FLOATS)
-        largest = {"e": 6e4, "f": 3e38, "d": 1.7e308}[letter]
-        return max(min(value, largest), -largest) if math.isfinite(value) else value
-    bits = 8 * struct.calcsize(letter)
-    if letter.islower():
-        return draw.choice((0, -1, 1, -(1 << bits - 1), (1 << bits - 1) - 1))
-    return draw.choice((0, 1, (1 << bits) - 1, 1 << bits - 1, (1 << bits - 1) - 1))
+    return extreme_number(np.dtype(letter), draw).item()
 
 
 def packed_extremes(
@@ -248,123 +215,61 @@ def extreme_ulog(draw: random.Random) -> bytes:
 
 
 TLOG_MESSAGES: dict[str, dict[str, Any]] = {
-    "system_time": {"time_unix_usec": 0, "time_boot_ms": 0},
-    "attitude": dict.fromkeys(
-        ("time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"), 0
-    ),
+    "system_time": {},
+    "attitude": {},
     "gps_raw_int": {
-        "time_usec": 0,
         "fix_type": 3,
         "lat": 470_000_000,
         "lon": 80_000_000,
         "alt": 500_000,
         "eph": 80,
         "epv": 80,
-        "vel": 0,
-        "cog": 0,
         "satellites_visible": 9,
-        "alt_ellipsoid": 0,
-        "h_acc": 0,
-        "v_acc": 0,
     },
-    "scaled_pressure": hostile.scaled_pressure(0, 0).fields,
-    "camera_feedback": {
-        "time_usec": 0,
-        "target_system": 0,
-        "cam_idx": 0,
-        "img_idx": 0,
-        "lat": 470_000_000,
-        "lng": 80_000_000,
-        "alt_msl": 600.0,
-        "alt_rel": 30.0,
-        "roll": 1.0,
-        "pitch": 2.0,
-        "yaw": 3.0,
-        "foc_len": 0.0,
-        "flags": 0,
-    },
-    "camera_image_captured": {
-        "time_boot_ms": 0,
-        "time_utc": 0,
-        "camera_id": 1,
-        "lat": 0,
-        "lon": 0,
-        "alt": 0,
-        "relative_alt": 0,
-        "q": [1.0, 0, 0, 0],
-        "image_index": 0,
-        "capture_result": 1,
-        "file_url": b"a",
-    },
-    "param_value": {
-        "param_id": b"GPS_DELAY_MS",
-        "param_value": 0.0,
-        "param_type": 9,
-        "param_count": 1,
-        "param_index": 0,
-    },
+    "scaled_pressure": {"press_abs": 700.0, "temperature": 4500},
+    "camera_feedback": {"lat": 470_000_000, "lng": 80_000_000, "alt_msl": 600.0},
+    "camera_image_captured": {"camera_id": 1, "q": [1.0, 0, 0, 0], "capture_result": 1},
+    "param_value": {"param_id": b"GPS_DELAY_MS", "param_type": 9, "param_count": 1},
 }
-UNSIGNED_BITS = {
-    "time_unix_usec": 64,
-    "time_boot_ms": 32,
-    "time_usec": 64,
-    "time_utc": 64,
-    "fix_type": 8,
-    "img_idx": 16,
-    "cam_idx": 8,
-    "temperature": -16,
-    "lat": -32,
-    "lon": -32,
-    "lng": -32,
-    "alt": -32,
-    "relative_alt": -32,
-    "image_index": -32,
-    "alt_ellipsoid": -32,
-    "h_acc": 32,
-    "v_acc": 32,
-    "eph": 16,
-    "epv": 16,
-    "vel": 16,
-    "capture_result": -8,
-    "temperature_press_diff": -16,
+"""Usual values of fields that are not zero."""
+
+STEADY = {"camera_id", "param_type"}
+LETTERS_OF_MAVLINK = {
+    "uint8_t": "B",
+    "int8_t": "b",
+    "uint16_t": "H",
+    "int16_t": "h",
+    "uint32_t": "I",
+    "int32_t": "i",
+    "uint64_t": "Q",
+    "float": "f",
 }
-"""Bits of fields; negative for signed ones. Other numbers are floats."""
 
 
-def extreme_field(name: str, draw: random.Random) -> Any:
-    bits = UNSIGNED_BITS.get(name, 0)
-    letters = {8: "b", 16: "h", 32: "i", 64: "q", 0: "f"}
-    letter = letters[abs(bits)]
-    return extreme_value(letter.upper() if bits > 0 else letter, draw)
+def letters_of(kind: type) -> dict[str, str]:
+    """The letters of struct of a message of pymavlink, by its fields of one number."""
+    letters = {}
+    blank = blank_fields(kind)
+    for field, field_type in zip(kind.fieldnames, kind.fieldtypes, strict=True):
+        if blank[field] == 0 and field not in STEADY:
+            letters[field] = LETTERS_OF_MAVLINK[field_type]
+    return letters
 
 
 def extreme_tlog(draw: random.Random) -> bytes:
     """Frames whose checksums hold, with values and stamps of reception at their limits."""
     share = draw.choice((0.02, 0.5, 1.0))
     stamp_share = draw.choice((0.0, 0.0, 0.1))
-    steady = {
-        "cog",
-        "target_system",
-        "camera_id",
-        "satellites_visible",
-        "q",
-        "flags",
-        "file_url",
-        "param_id",
-        "param_type",
-        "param_count",
-        "param_index",
-    }
-    chosen = {
-        name: [field for field in fields if field not in steady and draw.random() < 0.4]
-        for name, fields in TLOG_MESSAGES.items()
-    }
-    frames = []
+    writer = MavlinkWriter()
+    letters = {}
+    chosen = {}
+    for name in TLOG_MESSAGES:
+        letters[name] = letters_of(getattr(writer.library, f"MAVLink_{name}_message"))
+        chosen[name] = [field for field in letters[name] if draw.random() < 0.4]
     for k in range(40):
         for name, usual in TLOG_MESSAGES.items():
             ms = 60_000 + 200 * k
             host_us = hostile.HOST_US + 200_000 * k
-            fields = dict(usual)
             now = {
                 "time_boot_ms": ms,
                 "time_usec": 1000 * ms,
@@ -372,13 +277,14 @@ def extreme_tlog(draw: random.Random) -> bytes:
                 "img_idx": k,
                 "image_index": k,
             }
-            fields |= {field: value for field, value in now.items() if field in fields}
+            fields = usual | {field: now[field] for field in letters[name] if field in now}
             if draw.random() < share:
-                fields |= {field: extreme_field(field, draw) for field in chosen[name]}
+                for field in chosen[name]:
+                    fields[field] = extreme_value(letters[name][field], draw)
             if draw.random() < stamp_share:
                 host_us = draw.choice((0, 1, 2**63 - 1, 2**64 - 1, 2**52))
-            frames.append(hostile.Frame(host_us, name, fields))
-    return hostile.telemetry(frames)
+            writer.send(name, host_us, **fields)
+    return writer.data
 
 
 def extreme_mcap(draw: random.Random) -> bytes:

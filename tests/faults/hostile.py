@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from struct import pack
-from typing import Any
 
+from tests.ingest.written_logs import MavlinkWriter
 from unbend.simulate.write_dataflash import FORMATS
 
 START_NS = 1_763_073_169_000_000_000
@@ -50,19 +50,24 @@ def text(value: str) -> bytes:
     return pack("<I", len(value)) + value.encode()
 
 
-def chunk(records: bytes) -> bytes:
-    """Records in a chunk that zstd has compressed."""
-    import zstandard
-
-    packed = zstandard.ZstdCompressor(level=3).compress(records)
+def packed_chunk(compression: str, promised: int, content: bytes, crc: int = 0) -> bytes:
+    """A chunk that promises so many bytes."""
     head = pack(
         "<QQQI",
         START_NS,
         START_NS,
-        len(records),
-        0,
-    ) + text("zstd")
-    return record(6, head + pack("<Q", len(packed)) + packed)
+        promised,
+        crc,
+    ) + text(compression)
+    return record(6, head + pack("<Q", len(content)) + content)
+
+
+def chunk(records: bytes) -> bytes:
+    """Records in a chunk that zstd has compressed."""
+    import zstandard
+
+    content = zstandard.ZstdCompressor(level=3).compress(records)
+    return packed_chunk("zstd", len(records), content)
 
 
 def mcap(records: bytes) -> bytes:
@@ -430,87 +435,57 @@ def many_topics(n: int) -> bytes:
 HOST_US = 1_700_000_000_000_000
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A message of telemetry: when the host received it, its name and fields, and who sent it."""
-
-    host_us: int
-    name: str
-    fields: dict[str, object]
-    system: int = 1
-    component: int = 1
-
-
-def telemetry(frames: Iterable[Frame]) -> bytes:
-    from pymavlink.dialects.v20 import all as library
-
-    senders: dict[tuple[int, int], Any] = {}
-    parts = []
-    for frame in frames:
-        address = frame.system, frame.component
-        sender = senders.setdefault(address, library.MAVLink(None, *address))
-        kind = getattr(library, f"MAVLink_{frame.name}_message")
-        packet = kind(**frame.fields).pack(sender)
-        sender.seq = (sender.seq + 1) % 256
-        parts.append(pack(">Q", frame.host_us) + packet)
-    return b"".join(parts)
-
-
-def scaled_pressure(
-    host_us: int,
-    boot_ms: int,
-    system: int = 1,
-    component: int = 1,
-) -> Frame:
-    fields = {
+def send_pressure(
+    writer: MavlinkWriter, host_us: int, boot_ms: int, source: tuple[int, int] = (1, 1)
+) -> None:
+    """A reading of 700 hPa at 45 degrees."""
+    air = {
         "time_boot_ms": boot_ms,
         "press_abs": 700.0,
-        "press_diff": 0.0,
         "temperature": 4500,
-        "temperature_press_diff": 0,
     }
-    return Frame(host_us, "scaled_pressure", fields, system, component)
+    writer.send("scaled_pressure", host_us, source, **air)
 
 
 def boots_of_telemetry(n: int) -> bytes:
     """n power-ups with UTC."""
-    frames = []
+    writer = MavlinkWriter()
     for boot in range(n):
         for k in range(6):
             boot_ms = 5000 + 200 * k
             host_us = HOST_US + 60_000_000 * boot + 200_000 * k
-            utc = {"time_unix_usec": host_us, "time_boot_ms": boot_ms}
-            frames.append(Frame(host_us, "system_time", utc))
-            frames.append(scaled_pressure(host_us + 1, boot_ms))
-    return telemetry(frames)
+            writer.send(
+                "system_time",
+                host_us,
+                time_unix_usec=host_us,
+                time_boot_ms=boot_ms,
+            )
+            send_pressure(writer, host_us + 1, boot_ms)
+    return writer.data
 
 
 def many_senders(n: int) -> bytes:
     """n systems and components with a row each."""
-    frames = []
+    writer = MavlinkWriter()
     for k in range(n):
         system = 1 + k // 250 % 250
         component = 1 + k % 250
-        frames.append(
-            scaled_pressure(
-                HOST_US + 1000 * k,
-                5000 + k,
-                system,
-                component,
-            )
+        send_pressure(
+            writer,
+            HOST_US + 1000 * k,
+            5000 + k,
+            (system, component),
         )
-    return telemetry(frames)
+    return writer.data
 
 
 def unknown_ids(n: int) -> bytes:
     """n messages, and behind each a frame of another id that no dialect has."""
-    parts = []
-    frames = telemetry(scaled_pressure(HOST_US + 1000 * k, 5000 + k) for k in range(n))
-    begin = 0
+    writer = MavlinkWriter()
     for k in range(n):
-        end = begin + 8 + frames[begin + 9] + 12  # stamp, payload; header and checksum
-        parts.append(frames[begin:end])
-        begin = end
+        send_pressure(writer, HOST_US + 1000 * k, 5000 + k)
+    parts = []
+    for k, frame in enumerate(writer.frames):
         unknown_id = (50_000 + k).to_bytes(3, "little")
         head = pack(
             ">QBBBBBBB",
@@ -523,20 +498,24 @@ def unknown_ids(n: int) -> bytes:
             1,
             1,
         )
-        parts.append(head + unknown_id + b"\1\2\3\4\5\6")
+        parts += [frame, head + unknown_id + b"\1\2\3\4\5\6"]
     return b"".join(parts)
 
 
 def named_values(n: int) -> bytes:
     """n names of values with a row each."""
-    frames = []
+    writer = MavlinkWriter()
     for k in range(n):
         host_us = HOST_US + 1000 * k
         boot_ms = 5000 + k
-        value = {"time_boot_ms": boot_ms, "name": f"v{k}".encode(), "value": 1.0}
-        frames.append(Frame(host_us, "named_value_float", value))
-        frames.append(scaled_pressure(host_us + 1, boot_ms))
-    return telemetry(frames)
+        value = {
+            "time_boot_ms": boot_ms,
+            "name": f"v{k}".encode(),
+            "value": 1.0,
+        }
+        writer.send("named_value_float", host_us, **value)
+        send_pressure(writer, host_us + 1, boot_ms)
+    return writer.data
 
 
 GROWING = {

@@ -25,6 +25,7 @@ from unbend.errors import LogError
 from unbend.ingest import Log
 
 KINDS = ("truncate", "flip_bit", "overwrite_16", "zero_4k", "delete", "duplicate")
+REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY"}  # of logs of every format
 LONGEST = 4096  # bytes deleted or doubled at once
 MEMORY_BYTES = 128 << 20  # what a damaged log may need beyond a whole one
 GRACE = 100.0  # work units; the limit is this plus ten times what the whole log takes

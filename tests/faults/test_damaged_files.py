@@ -13,20 +13,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rasterio import Affine
 
 from tests import model_files
-from tests.faults.extreme_inputs import impossible_values, with_ledger
-from tests.faults.extreme_tables import NOON_NS
+from tests.faults.extreme_inputs import impossible_values
+from tests.faults.extreme_weather import read_weather_model
 from tests.faults.mutate import KINDS, limited, mutated, recipes, work_unit_s
 from tests.small_block import SmallBlock
+from tests.tables.geodata.rasters import write_raster
 from unbend.errors import UnbendError
 from unbend.tables.geodata.elevation import open_elevation
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.imports import blocks
-from unbend.tables.model_fields import FlightArea, read_model_field
-from unbend.tables.weather_files import contents_of
 
 LONGEST_UNITS = 100.0  # of work: 3 to 10 s
+
+
 LATITUDE_DEG = np.array([47.5, 47.25, 47.0])
 LONGITUDE_DEG = np.array([8.25, 8.5, 8.75])
 TIMES = ("2026-05-06T11:00", "2026-05-06T12:00", "2026-05-06T13:00")
@@ -40,27 +42,18 @@ class Kind:
     read: Callable[[Path], object]
 
 
-def write_raster(folder: Path, mean: float, spread: float) -> Path:
+def write_heights(folder: Path, mean: float, spread: float) -> Path:
     """A GeoTIFF of random numbers about a mean, in compressed tiles."""
-    rasterio = pytest.importorskip("rasterio")
-    path = folder / "heights.tif"
     numbers = mean + spread * np.random.default_rng(1).standard_normal((300, 300))
-    profile = {
-        "driver": "GTiff",
-        "height": 300,
-        "width": 300,
-        "count": 1,
-        "dtype": "float32",
-        "crs": "EPSG:4326",
-        "transform": rasterio.Affine(0.01, 0.0, 8.0, 0.0, -0.01, 48.0),
-        "compress": "deflate",
-        "tiled": True,
-        "blockxsize": 128,
-        "blockysize": 128,
-    }
-    with rasterio.open(path, "w", **profile) as raster:
-        raster.write(numbers.astype("f4"), 1)
-    return path
+    return write_raster(
+        folder / "heights.tif",
+        numbers.astype("f4"),
+        Affine(0.01, 0.0, 8.0, 0.0, -0.01, 48.0),
+        compress="deflate",
+        tiled=True,
+        blockxsize=128,
+        blockysize=128,
+    )
 
 
 def read_elevation(path: Path) -> object:
@@ -103,16 +96,6 @@ def weather_model() -> object:
     return model_files.dataset(standard_column, LATITUDE_DEG, LONGITUDE_DEG, TIMES)
 
 
-def read_weather_model(path: Path) -> object:
-    area = FlightArea(
-        latitude_rad=np.radians([47.2, 47.3]),
-        longitude_rad=np.radians([8.4, 8.6]),
-        time_ns=np.array([NOON_NS, NOON_NS + 10**9]),
-    )
-    contents_of(path)
-    return with_ledger(lambda ledger: read_model_field(path, area, ledger))
-
-
 def write_database(folder: Path) -> Path:
     block = SmallBlock.make()
     places = np.column_stack([block.lat, block.lon, block.h])
@@ -130,8 +113,8 @@ def read_database(path: Path) -> object:
 
 
 FILES = {
-    "elevation model": Kind(partial(write_raster, mean=500.0, spread=100.0), read_elevation),
-    "geoid": Kind(partial(write_raster, mean=47.0, spread=3.0), read_undulations),
+    "elevation model": Kind(partial(write_heights, mean=500.0, spread=100.0), read_elevation),
+    "geoid": Kind(partial(write_heights, mean=47.0, spread=3.0), read_undulations),
     "netCDF-4": Kind(write_netcdf, read_weather_model),
     "GRIB": Kind(write_grib, read_weather_model),
     "database of COLMAP": Kind(write_database, read_database),

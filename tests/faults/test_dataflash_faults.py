@@ -10,11 +10,9 @@ from pathlib import Path
 import pytest
 
 from tests.faults.hostile import definition_of, packed
-from tests.faults.mutate import KINDS, Trial, damage_reported
+from tests.faults.mutate import KINDS, REFUSALS, Trial, damage_reported
 from unbend.ingest import open_log
 from unbend.simulate.write_dataflash import FORMATS
-
-REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY"}
 
 
 def moments(numbers: range, from_us: int, week_ms: int) -> bytes:

@@ -7,46 +7,34 @@ from __future__ import annotations
 
 import random
 import struct
-from dataclasses import replace
-from itertools import pairwise, product
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
-from scipy.io import netcdf_file
 
 from tests.faults.extreme_blocks import BLOCKS, TAGS, first_row, read_block, small_blocks
 from tests.faults.extreme_inputs import LONG, impossible_values
 from tests.faults.extreme_missions import MISSIONS
-from tests.faults.extreme_tables import GPST, MRK_TEXT, NOON_NS, TABLES, TOW, UTC
+from tests.faults.extreme_tables import GPST, MRK_TEXT, NOON_NS, TABLES, TOW
 from tests.faults.extreme_tables import UNIX_S as START_S
 from tests.faults.extreme_weather import (
-    CELSIUS,
     GRIDS,
-    HECTOPASCALS,
     PLAIN_SOUNDING,
     REPORT,
-    RISE,
     WEATHER,
     head_of,
 )
 from tests.faults.mutate import limited, work_unit_s
 from tests.helpers import NS_PER_S, refused
+from tests.tables.arm_sounding import VARIABLES, write_arm
 from unbend.atmosphere.hypsometry import fall_of_pressure
 from unbend.atmosphere.surface_report import parse_metar
-from unbend.config import load_mission
 from unbend.config.campaign import open_configs
 from unbend.errors import ConfigError, InputError, UnbendError, rendered
-from unbend.flight.channels import Channel
-from unbend.messages import Ledger, Message
+from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.imports.camera_events import read_mrk
 from unbend.tables.imports.eo_head import head_of_eo
-from unbend.tables.imports.image_stamps import parse_time
-from unbend.tables.imports.stated import Stated
-from unbend.tables.imports.user_tables import read_orientation
-from unbend.tables.imports.user_trajectories import read_trajectory_csv
 from unbend.tables.soundings import read_sounding
 from unbend.tables.text_columns import numbers
 from unbend.tables.weather_fields import possible_steps, possible_times
@@ -81,52 +69,10 @@ def test_fields_at_their_limits(tmp_path, mutation_count, mutation_seed, kind):
         assert len(str(refusal)) < LONGEST_REFUSAL
 
 
-@pytest.mark.slow
-def test_a_run_flags_measurements_beyond_all_limits(mission):
-    """Each is flagged, without a corrected pixel; the rows of others do not change."""
-    table = mission.measurements().to_pandas()
-    assert mission.run().code == 0
-    before = mission.results().to_pandas()
-    extremes = [np.nan, np.inf, -np.inf, 1e308, -1e308, 2.0**64, -(2.0**63), 1e19]
-    columns = ("x_px", "y_px", "h_g_m")
-    for row, (column, value) in enumerate(product(columns, extremes)):
-        table.loc[row, column] = value
-    spoilt = len(columns) * len(extremes)
-    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
-
-    ended = mission.run()
-
-    assert ended.code == 3
-    assert "Traceback" not in ended.text
-    after = mission.results().to_pandas()
-    corrected = ["x_corrected_px", "y_corrected_px"]
-    assert "ok" not in set(after["status"][:spoilt])
-    assert after[corrected][:spoilt].isna().all(axis=None)
-    pd.testing.assert_frame_equal(after[corrected][spoilt:], before[corrected][spoilt:])
-
-
 # What is read of single fields
 
 
 ONLY_THIRD = [False, False, True, False, False]
-PLACES = {"time": "t", "latitude": "lat", "longitude": "lon", "height": "h"}
-
-
-@pytest.fixture
-def trajectory_of(write):
-    """Reads rows with places and more columns: the channel, and the losses by their codes."""
-
-    def read(
-        rows: list[str], stated: Stated = UTC, **more: str
-    ) -> tuple[Channel, dict[str, Message]]:
-        columns = PLACES | more
-        path = write("flight.csv", [",".join(columns.values()), *rows])
-        ledger = Ledger()
-        channel = read_trajectory_csv(path, replace(stated, columns=columns), ledger)
-        losses = {entry.code: entry for entry in ledger if entry.kind == "loss"}
-        return channel, losses
-
-    return read
 
 
 def sound_rows(more: str = "", start_s: int = START_S) -> list[str]:
@@ -190,7 +136,13 @@ def test_a_quaternion_of_another_length_is_no_attitude(trajectory_of, first):
     rows = sound_rows(",1,0,0,0")
     rows[2] = rows[2].replace(",1,0,0,0", f",{first},0,0,0")
 
-    channel, losses = trajectory_of(rows, q_w="w", q_x="x", q_y="y", q_z="z")
+    channel, losses = trajectory_of(
+        rows,
+        q_w="w",
+        q_x="x",
+        q_y="y",
+        q_z="z",
+    )
 
     is_unknown = np.isnan(channel["q_x"]) | np.isnan(channel["q_w"])
     assert is_unknown.tolist() == ONLY_THIRD
@@ -217,45 +169,6 @@ def test_an_event_that_is_nowhere_on_earth_is_lost(write, before, word):
     channel = read_mrk(path, GPST, ledger)
     assert channel["event_index"].tolist() == [float(k) for k in range(2, 9)]
     assert [(entry.code, entry.count) for entry in ledger] == [("IMPORT-ROWS", 1)]
-
-
-@pytest.mark.parametrize(
-    ("column", "word", "text"),
-    [
-        ("h", "1e9", "beyond 100000: 1e+09"),
-        ("h", "1e308", "beyond 100000: 1e+308"),
-        ("lat", "1e400", "is not a number"),
-        ("lon", "4_7", "is not a number"),
-        ("o", "1_0", "is not a number: '1_0'"),
-    ],
-)
-def test_an_orientation_that_cannot_be_is_refused_with_its_line(write, column, word, text):
-    columns = {"image": "image", "latitude": "lat", "longitude": "lon", "height": "h"}
-    columns |= {"omega": "o", "phi": "p", "kappa": "k"}
-    first = dict(zip(columns.values(), ("a", "47.3", "8.5", "1500", "1", "2", "3"), strict=True))
-    second = first | {"image": "b", column: word}
-    lines = [",".join(words) for words in (first, first.values(), second.values())]
-    path = write("block.csv", lines)
-
-    with pytest.raises(InputError, match="ORIENTATION-NUMBER") as caught:
-        read_orientation(path, Stated(columns=columns), Ledger())
-
-    assert text in caught.value.what
-    assert caught.value.where == f"{path}, line 3"
-
-
-@pytest.mark.parametrize(
-    ("text", "zone"),
-    [
-        ("2026:05:06 12:00:00+99:99", ""),
-        ("2026:05:06 12:00:00", "+14:01"),
-        ("2026:05:06 12:00:00", "-23:59"),
-        ("9999:12:31 23:59:59", "Z"),
-        ("0001:01:01 00:00:00", "Z"),
-    ],
-)
-def test_a_time_of_an_image_that_cannot_be_is_none(text, zone):
-    assert parse_time(text, zone) is None
 
 
 LOG_PRESSURES = np.linspace(11.5, 11.0, 6)
@@ -297,19 +210,7 @@ def test_a_pressure_that_no_height_has_is_none(write):
 
 @pytest.mark.parametrize("start", [np.inf, -np.inf, np.nan])
 def test_a_netcdf_sounding_without_a_finite_time_is_refused(tmp_path, start):
-    columns = {
-        "pres": HECTOPASCALS,
-        "tdry": CELSIUS,
-        "dp": CELSIUS - 5.0,
-        "alt": RISE,
-        "rh": np.full(RISE.size, 70.0),
-    }
-    path = tmp_path / "sonde.cdf"
-    with netcdf_file(path, "w") as file:
-        file.createDimension("time", RISE.size)
-        for name, values in columns.items():
-            file.createVariable(name, np.float64, ("time",))[:] = values
-        file.createVariable("base_time", np.float64, ())[...] = start
+    path = write_arm(tmp_path / "sonde.cdf", VARIABLES | {"base_time": np.array(start)})
     with refused("SOUNDING-NETCDF"):
         read_sounding(path, Ledger(), time_ns=NOON_NS)
 
@@ -388,7 +289,14 @@ def test_a_lead_time_of_no_forecast_is_refused():
 
 @pytest.mark.parametrize(
     ("place", "value"),
-    [(0, np.nan), (0, 1e18), (1, np.inf), (2, 5e-324), (3, np.inf), (2, np.nan)],
+    [
+        (0, np.nan),
+        (0, 1e18),
+        (1, np.inf),
+        (2, 5e-324),
+        (3, np.inf),
+        (2, np.nan),
+    ],
 )
 def test_a_geoid_whose_head_is_no_grid_is_refused(tmp_path, place, value):
     head = [46.0, 7.0, 0.25, 0.25]
@@ -429,98 +337,6 @@ def test_a_report_of_a_hundred_thousand_characters_is_none():
 
 
 # Mission files
-
-
-@pytest.fixture
-def mission_refused(write):
-    """Reads a mission file, which must be refused; what is said."""
-
-    def load(text: str) -> str:
-        path = write("mission.yaml", [text])
-        with pytest.raises(ConfigError) as caught:
-            load_mission(path)
-        assert caught.value.remedy
-        assert str(path) in caught.value.where
-        return caught.value.what
-
-    return load
-
-
-def explosion() -> str:
-    """Ten lists of ten of the list before."""
-    text = "a: &a [x, x, x, x, x, x, x, x, x, x]\n"
-    for inner, outer in pairwise("abcdefghij"):
-        ten = ", ".join([f"*{inner}"] * 10)
-        text += f"{outer}: &{outer} [{ten}]\n"
-    return text
-
-
-@pytest.mark.parametrize(
-    ("text", "what"),
-    [
-        ("mission: {name: a, undulation_m: " + "9" * 5000 + "}", "a number has too many digits"),
-        ("mission: &m {name: *m}", "inside the section or list that it repeats"),
-        (explosion(), "more than 1000000 values"),
-        ("mission: {name: !!bool x}", "the text is not YAML"),
-        ("mission: {name: !!timestamp x}", "tags (!) are not allowed"),
-        ("mission: {name: !!timestamp 2026-05-14}", "tags (!) are not allowed"),
-        ("mission: " + "[" * 5000, "too many brackets are inside each other"),
-        ("mission: " + "- " * 5000, "the text is not YAML"),
-    ],
-    ids=["digits", "loop", "explosion", "bool", "timestamp", "date", "brackets", "depth"],
-)
-def test_a_text_that_yaml_cannot_hold_is_refused(mission_refused, text, what):
-    assert what in mission_refused(text)
-
-
-@pytest.mark.parametrize("value", ["{a: {b: 1}}", "{a: [1]}", "{}", "{a: 1}"])
-def test_a_section_in_the_place_of_a_text_is_refused_with_its_key(mission_refused, value):
-    """Sections within it ended with a traceback."""
-    assert "mission.name" in mission_refused(f"mission: {{name: {value}}}")
-
-
-MISSION = """mission: {name: a, undulation_m: 47.5}
-log: {path: a.bin}
-observations: {path: o.csv}
-cameras: {nadir: {width_px: 100, height_px: 100, f_px: 200.0, cx_px: 50.0, cy_px: 50.0,
-  calibration: laboratory}}
-mount: {nadir: {roll_deg: 1.5}}
-events: {log: {nadir: {image: "{index}"}}}
-ground: {height: 200.0, reference: msl}
-atmosphere: {surface: [{h_msl_m: 500.0, temperature_c: 15.0, time_utc: 2026-05-14T10:20:00Z}]}
-stations: {max_sigma_height_m: 2.5}
-output: {path: out}
-"""
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "key"),
-    [
-        ("47.5", "1e400", "mission.undulation_m"),
-        ("roll_deg: 1.5", "roll_deg: 1e9", "mount.nadir.roll_deg"),
-        ("max_sigma_height_m: 2.5", "max_sigma_height_m: 1e308", "stations.max_sigma_height_m"),
-        (
-            "max_sigma_height_m: 2.5",
-            "max_sigma_height_m: " + "9" * 400,
-            "stations.max_sigma_height_m",
-        ),
-        ("200.0, ref", ".nan, ref", "ground.height"),
-        ("width_px: 100", f"width_px: {2**64}", "width_px"),
-        ("2026-05-14T10:20:00Z", "9999-12-31T23:59:59Z", "time_utc: is not a time"),
-        ("2026-05-14T10:20:00Z", "0001-01-01T00:00:00+23:59", "time_utc: is not a time"),
-        (
-            "path: o.csv",
-            "path: " + "o" * 300 + ".csv",
-            "observations.path: is longer than a path can be",
-        ),
-    ],
-)
-def test_a_number_that_no_key_takes_is_refused(write, mission_refused, before, after, key):
-    load_mission(write("sound.yaml", [MISSION]))
-    assert MISSION.count(before) == 1
-    text = mission_refused(MISSION.replace(before, after))
-    assert key in text
-    assert "line " in text
 
 
 def test_a_campaign_with_a_loop_is_refused(write):

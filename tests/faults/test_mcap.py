@@ -21,14 +21,14 @@ from tests.faults.hostile import (
     START_NS,
     channel,
     message,
+    packed_chunk,
     record,
     schema,
 )
-from tests.faults.mutate import Trial, damage_reported, peak_bytes, work_unit_s
+from tests.faults.mutate import REFUSALS, Trial, damage_reported, peak_bytes, work_unit_s
 from tests.helpers import NS_PER_S, codes_of_losses, with_code
 from unbend.ingest import Log, open_log
 
-REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY"}
 LIMIT = 128 << 20
 ROWS = 120
 WHOLE = 4 * ROWS + ROWS // 10  # messages of four topics, and of a camera
@@ -342,13 +342,6 @@ def packed_zeros(compression: str, size: int) -> bytes:
     return b"".join([*parts, packer.flush()])
 
 
-def chunk(compression: str, promised: int, packed: bytes, crc: int = 0) -> bytes:
-    """A chunk that promises so many bytes."""
-    name = compression.encode()
-    head = struct.pack("<QQQII", 0, 0, promised, crc, len(name)) + name
-    return record(6, head + struct.pack("<Q", len(packed)) + packed)
-
-
 def schema_bomb(definition: str) -> bytes:
     """A topic of pressure whose definition takes long to take apart, and messages."""
     definitions = schema(900, FLUID_PRESSURE, definition)
@@ -388,8 +381,8 @@ def bomb(kind: str) -> bytes:
     if kind == "nested":
         size = 64 << 20
         return (
-            chunk("", 0, b"")
-            + chunk(
+            packed_chunk("", 0, b"")
+            + packed_chunk(
                 "zstd",
                 size,
                 packed_zeros("zstd", size),
@@ -399,12 +392,12 @@ def bomb(kind: str) -> bytes:
         )
     if kind == "many chunks":  # as much in each as one chunk alone once could have
         size = 256 << 20
-        return chunk("zstd", size, packed_zeros("zstd", size)) * 40
+        return packed_chunk("zstd", size, packed_zeros("zstd", size)) * 40
     if kind == "chunk of records":
         inner = record(5, bytes(22)) * (8 << 20 >> 5)
-        return chunk("", len(inner), inner)
+        return packed_chunk("", len(inner), inner)
     compression, promised = kind.split()
-    return chunk(compression, int(promised), packed_zeros(compression, 2 << 30))
+    return packed_chunk(compression, int(promised), packed_zeros(compression, 2 << 30))
 
 
 SIZES = (1024, 64 << 20, 2 << 30, 2**63)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import struct
-
 import pytest
 
-from tests.faults.mutate import KINDS, Trial, damage_reported, limited, work_unit_s
+from tests.faults.mutate import KINDS, REFUSALS, Trial, damage_reported, limited, work_unit_s
+from tests.ingest.written_logs import ULogWriter
 from unbend.ingest import open_log
 
 UTC_US = 1_700_000_000_000_000
-REFUSALS = {"LOG-FORMAT", "LOG-NO-MESSAGES", "LOG-EMPTY", "LOG-ULOG"}
+REFUSALS_OF_ULOG = REFUSALS | {"LOG-ULOG"}
 SYNC = bytes([0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12])
 
 FORMATS = {
@@ -29,17 +28,12 @@ FORMATS = {
 }
 
 
-def message(kind: str, payload: bytes) -> bytes:
-    return struct.pack("<HB", len(payload), ord(kind)) + payload
-
-
 def small_log(rows: int, *, sync: bool) -> bytes:
     """A receiver, an attitude, a barometer and a camera, as the specification of ULog says."""
-    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000) + message("B", bytes(40))
+    writer = ULogWriter()
     for name, (_, fields) in FORMATS.items():
-        data += message("F", f"{name}:uint64_t timestamp;{fields}".encode())
-    for number, name in enumerate(FORMATS):
-        data += message("A", struct.pack("<BH", 0, number) + name.encode())
+        writer.define(name, fields)
+    writer.subscribe(*FORMATS)
     for k in range(rows):
         t = 60_000_000 + 100_000 * k
         values = {
@@ -49,19 +43,12 @@ def small_log(rows: int, *, sync: bool) -> bytes:
         }
         if k % 10 == 0:
             values["camera_capture"] = (0, k, 47.5, 8.25, 1)
-        for number, name in enumerate(FORMATS):
-            if name in values:
-                letters, _ = FORMATS[name]
-                row = struct.pack(
-                    f"<HQ{letters}",
-                    number,
-                    t,
-                    *values[name],
-                )
-                data += message("D", row)
+        for name, row in values.items():
+            layout, _ = FORMATS[name]
+            writer.row(name, layout, t, *row)
         if sync and k % 20 == 0:
-            data += message("S", SYNC)
-    return data
+            writer.message("S", SYNC)
+    return writer.data
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +66,7 @@ def test_the_small_logs_are_whole(trial):
 def test_mutations(trial, run_mutations, mutation_count):
     run_mutations(trial)
 
-    assert set(trial.ends) <= {"complete", "reported", "renamed", "unreported"} | REFUSALS
+    assert set(trial.ends) <= {"complete", "reported", "renamed", "unreported"} | REFUSALS_OF_ULOG
     # whole messages that are gone leave no mark in a format without numbers
     kinds = {KINDS[recipe.kind] for recipe in trial.unreported}
     assert kinds <= {"truncate", "delete"}
@@ -87,7 +74,7 @@ def test_mutations(trial, run_mutations, mutation_count):
 
 
 def test_failures_found_once_stay_away(trial, run_corpus):
-    run_corpus(trial, "ulog", {"complete", "reported"} | REFUSALS)
+    run_corpus(trial, "ulog", {"complete", "reported"} | REFUSALS_OF_ULOG)
 
 
 def test_every_cut_of_the_first_and_last_1000_bytes(trial, run_cuts):

@@ -6,8 +6,6 @@ Identifiers of 13 digits and more, other units, coarse quaternions, far zones, l
 from __future__ import annotations
 
 import re
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +15,7 @@ import pytest
 from tests.faults.extreme_blocks import first_row, read_block, small_blocks
 from tests.faults.extreme_tables import EO_TEXT, GPST, MRK_TEXT, TOW, UNIX_S, UTC, WEEK
 from tests.helpers import NS_PER_S, codes_of_losses
+from tests.tables.observed import COLUMNS
 from unbend.config.mounts import MountSection
 from unbend.config.section import PathText
 from unbend.config.yaml_text import read_yaml
@@ -26,9 +25,8 @@ from unbend.tables.geodata.object_points import read_object_points
 from unbend.tables.imports import blocks
 from unbend.tables.imports.camera_events import read_eo_text, read_mrk
 from unbend.tables.imports.image_stamps import parse_time
-from unbend.tables.imports.stated import Stated, channel_of_rows
+from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import read_events, read_orientation
-from unbend.tables.imports.user_trajectories import read_trajectory_csv
 from unbend.tables.observations import open_observations
 from unbend.written_numbers import angle_of, number_of
 
@@ -38,12 +36,6 @@ NOON_NS = UNIX_S * NS_PER_S
 GPS_EPOCH_S = 315_964_800
 WEEK_S = 604_800
 LEAP_S = 18  # of GPS time in 2026
-PLACE_COLUMNS = {
-    "time": "t",
-    "latitude": "lat",
-    "longitude": "lon",
-    "height": "h",
-}
 POINT_COLUMNS = {
     "point": "p",
     "x": "x",
@@ -108,8 +100,7 @@ def test_whole_numbers_of_64_bits_stay_exact(tmp_path):
     }
     path = tmp_path / "o.parquet"
     pq.write_table(pa.table(table), path)
-    columns = {name: name for name in ("image", "point", "x_px", "y_px")}
-    opened = open_observations(path, columns, None, Ledger())
+    opened = open_observations(path, COLUMNS, None, Ledger())
     (batch,) = opened.batches(1000)
     assert batch.point.to_pylist() == names
     assert batch.users["t"].to_pylist() == times_ns
@@ -191,21 +182,27 @@ def test_coordinates_may_be_millimetres(write):
 
 
 @pytest.fixture
-def read_trajectory(write):
+def read_trajectory(trajectory_of):
     """Reads rows of a trajectory without a loss; ``more`` columns stand behind the height."""
 
     def read(rows: list[str], *, stated: Stated = UTC, **more: str) -> Channel:
-        columns = PLACE_COLUMNS | more
-        path = write("t.csv", [",".join(columns.values()), *rows])
-        ledger = Ledger()
-        channel = read_trajectory_csv(path, replace(stated, columns=columns), ledger)
-        assert codes_of_losses(ledger) == []
+        channel, losses = trajectory_of(rows, stated, **more)
+        assert losses == {}
         return channel
 
     return read
 
 
-@pytest.mark.parametrize("longitude", ["-180", "180", "359.9", "360", "-0.0"])
+@pytest.mark.parametrize(
+    "longitude",
+    [
+        "-180",
+        "180",
+        "359.9",
+        "360",
+        "-0.0",
+    ],
+)
 @pytest.mark.parametrize("latitude", ["-90", "90", "0.0001"])
 @pytest.mark.parametrize("height", ["-430", "0", "99999"])
 def test_places_at_the_limits_of_the_earth_are_places(read_trajectory, longitude, latitude, height):
@@ -238,27 +235,6 @@ def test_words_for_an_unknown_velocity_are_no_loss(read_trajectory, word):
     rows[2] = rows[2].replace(",10.5", f",{word}")
     channel = read_trajectory(rows, v_north_m_s="v")
     assert np.isnan(channel["v_north_m_s"]).tolist() == [False, False, True, False]
-
-
-def test_a_row_without_a_height_is_kept():
-    """Where its reader takes it: unknown is not beyond all heights."""
-    time_ns = NOON_NS + np.arange(3) * NS_PER_S
-    columns = {
-        "lat_rad": np.radians([47.3, 47.3, 47.3]),
-        "lon_rad": np.radians([8.5, 8.501, 8.502]),
-        "h_msl_m": np.array([1500.5, np.nan, 1501.5]),
-    }
-    ledger = Ledger()
-    channel = channel_of_rows(
-        Path("f"),
-        "MRK",
-        time_ns,
-        columns,
-        ledger,
-        readable=np.ones(3, np.bool_),
-    )
-    assert len(channel) == 3
-    assert codes_of_losses(ledger) == []
 
 
 def test_seconds_of_a_week_may_count_on(read_trajectory):

@@ -116,6 +116,12 @@ def test_what_is_no_log(tmp_path, name, content, code, words):
     assert words in refusal(path, code).what
 
 
+def test_the_refusal_of_a_table_names_the_formats_of_logs(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time,lat,lon\n1,2,3\n")
+    assert ".bin" in refusal(path, "LOG-FORMAT").remedy
+
+
 def test_missing_file_and_folder(tmp_path):
     assert "folder" in refusal(tmp_path, "LOG-MISSING").what
     assert "no such file" in refusal(tmp_path / "none.bin", "LOG-MISSING").what

@@ -55,8 +55,9 @@ def test_a_bare_value_is_converted(role, unit, number, si):
 
 def test_a_unit_of_another_quantity_is_refused():
     named = logged("mavlink", "NAMED_VALUE_FLOAT", "value", 5.0)
-    with refused("CHANNEL-UNIT"):
+    with refused("CHANNEL-UNIT") as refusal:
         in_stated_unit(named, "pressure", "degC")
+    assert "degC" in str(refusal.value)
 
 
 OF_THE_FORMAT = yaml.safe_load("""

@@ -19,10 +19,10 @@ from tests.refraction.images import (
     uncertainties,
 )
 from tests.refraction.rays import bent
+from tests.refraction.uncertain_air import AIR, COVARIANCE, TABLE
 from unbend.refraction import WindowRays, leading_mode, ray_table, sensitivity
 from unbend.refraction.uncertainty.sigmas import OPEN
 
-AIR, COVARIANCE = uncertain_air.air()
 CAMERA = replace(NARROW, fx_px=50_000.0, fy_px=50_000.0)
 TILT = 1e-4
 
@@ -45,7 +45,7 @@ def tabulated(covariance, h_c, h_g, zeta, ground=(-600.0, 10_000.0)):
         CAMERA.cx_px,
         CAMERA.cy_px,
         exposures,
-        ray_table(AIR),
+        TABLE,
         camera=CAMERA,
         h_g=h_g,
         row=np.arange(h_c.size),

@@ -25,12 +25,12 @@ from tests.refraction.images import (
     turned,
     uncertainties,
 )
+from tests.refraction.uncertain_air import AIR, COVARIANCE
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.layers import stack_layers
 from unbend.refraction import BrownConrady, ray_table
 from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED
 
-AIR, COVARIANCE = uncertain_air.air()
 CAMERA = replace(SKEWED, fx_px=20_000.0, fy_px=20_200.0)
 LONG = replace(CAMERA, fx_px=90_000.0, fy_px=90_500.0)  # 75 degrees and 5 to either side
 TILTED = tuple(turned("xy", [25, -10])[:, 2])

@@ -23,13 +23,12 @@ from tests.refraction.images import (
     turned,
     uncertainties,
 )
+from tests.refraction.uncertain_air import AIR, COVARIANCE, TABLE
 from unbend.refraction import ray_table, refraction_angle
 from unbend.refraction.status_codes import FAR_BRANCH, NO_GROUND, NO_STATION
 from unbend.refraction.uncertainty.sigmas import PARTIALS
 from unbend.units import DEGREE
 
-AIR, COVARIANCE = uncertain_air.air()
-TABLE = ray_table(AIR)
 H_C = 2680.0
 # Aircraft banked and pitched, its camera 40 degrees to the side: nothing is level here.
 BODY = turned("zxy", [33.0, 7.0, -11.0])

@@ -19,14 +19,13 @@ from tests.refraction.images import (
     turned,
     uncertainties,
 )
+from tests.refraction.uncertain_air import AIR, COVARIANCE, TABLE
 from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.refraction import WindowRays, leading_mode, ray_table, refraction_angle
 from unbend.refraction.uncertainty.budget import window_turn
 from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED, window_kind_of
 from unbend.refraction.window import refract_at_window
 
-AIR, COVARIANCE = uncertain_air.air()
-TABLE = ray_table(AIR)
 BANKED = turned("zyx", [20.0, 5.0, 40.0]) @ DOWN
 FORTY = looking(40.0)
 LEANING = tuple(turned("xy", [25.0, -10.0])[:, 2])

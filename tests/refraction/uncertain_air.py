@@ -11,6 +11,7 @@ from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.geodesy import lambert_gravity
+from unbend.refraction import ray_table
 
 FINE_EDGES = np.arange(-600.0, 3600.0, 50.0)
 COARSE_EDGES = np.arange(3600.0, 12_001.0, 600.0)
@@ -62,10 +63,9 @@ def changed(state):
     )
 
 
-def air():
-    """A profile and its covariance."""
-    profile = changed(np.zeros(STATES))
-    return profile, ProfileCovariance(profile, ANCHOR_M, covariance_matrix())
+AIR = changed(np.zeros(STATES))
+COVARIANCE = ProfileCovariance(AIR, ANCHOR_M, covariance_matrix())
+TABLE = ray_table(AIR)
 
 
 @cache

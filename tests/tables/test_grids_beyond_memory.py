@@ -9,12 +9,13 @@ import pyproj  # noqa: F401  (before ecCodes)
 import pytest
 
 from tests.helpers import refused
+from tests.tables.grib_messages import write_grib
 from unbend.errors import InputError
 from unbend.tables.geodata.elevation import open_elevation
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.weather_files import MOST_GRID_POINTS, contents_of
 
-eccodes = pytest.importorskip("eccodes")
+pytest.importorskip("eccodes")
 rasterio = pytest.importorskip("rasterio")
 
 COLUMNS = 60_000
@@ -22,28 +23,19 @@ ROWS = 30_001
 LARGEST_FILE = 100_000  # bytes of each file here
 
 
-def write_field_of_equal_values(path: Path, edition: int, columns: int, rows: int) -> None:
-    """A message of GRIB, which has no more bytes for more points."""
-    message = eccodes.codes_grib_new_from_samples(f"regular_ll_pl_grib{edition}")
-    eccodes.codes_set(message, "Ni", columns)
-    eccodes.codes_set(message, "Nj", rows)
-    eccodes.codes_set(message, "bitsPerValue", 0)
-    if edition == 2:
-        eccodes.codes_set(message, "numberOfDataPoints", columns * rows)
-        eccodes.codes_set(message, "numberOfValues", columns * rows)
-    with path.open("wb") as file:
-        eccodes.codes_write(message, file)
-    eccodes.codes_release(message)
-
-
 @pytest.mark.parametrize("edition", [1, 2])
 def test_a_field_of_equal_values_has_a_grid_within_the_limit(tmp_path: Path, edition: int):
+    """It has no more bytes for more points."""
     path = tmp_path / "model.grib"
-    write_field_of_equal_values(path, edition, COLUMNS, ROWS)
+    points = COLUMNS * ROWS
+    keys = f"Ni={COLUMNS},Nj={ROWS},bitsPerValue=0"
+    if edition == 2:
+        keys += f",numberOfDataPoints={points},numberOfValues={points}"
+    write_grib(path, [keys], edition)
     assert path.stat().st_size < LARGEST_FILE
     with refused("MODEL-UNREADABLE", InputError) as caught:
         contents_of(path)
-    assert f"{COLUMNS * ROWS:,} points" in str(caught.value)
+    assert f"{points:,} points" in str(caught.value)
 
 
 def test_grids_of_real_models_are_within_the_limit():

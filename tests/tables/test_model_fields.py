@@ -14,6 +14,7 @@ from scipy.io import netcdf_file
 from tests.helpers import with_code
 from tests.model_files import PRESSURE_LEVELS, dataset, grib, netcdf, on_model_levels
 from tests.tables.checks import assert_within, refused_with
+from tests.tables.grib_messages import write_grib
 from unbend.atmosphere.soundings.model_column import model_column
 from unbend.geodesy import normal_gravity
 from unbend.messages import Ledger
@@ -483,16 +484,9 @@ LAMBERT = (
 
 
 def test_a_projected_grib_such_as_hrrr_is_refused_by_name():
-    import eccodes
-
     path = Path("hrrr.grib2")
-    with path.open("wb") as file:
-        for level in (1000, 850, 700, 500, 300):
-            message = eccodes.codes_grib_new_from_samples("regular_ll_pl_grib2")
-            eccodes.codes_set_key_vals(message, f"{LAMBERT},level={level}")
-            eccodes.codes_set_values(message, np.full(6, 280.0))
-            eccodes.codes_write(message, file)
-            eccodes.codes_release(message)
+    messages = [f"{LAMBERT},level={level}" for level in (1000, 850, 700, 500, 300)]
+    write_grib(path, messages, values=np.full(6, 280.0))
     with refused_with("MODEL-GRID", "its grid is lambert"):
         read(path)
 

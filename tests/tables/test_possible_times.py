@@ -14,7 +14,6 @@ from unbend.config.section import SectionError
 from unbend.messages import Ledger
 from unbend.tables.imports.stated import channel_of_rows
 from unbend.tables.text_columns import utc_of_columns, utc_of_dates
-from unbend.written_numbers import angle_of
 
 
 @pytest.mark.parametrize(
@@ -49,14 +48,14 @@ def test_a_gps_week_modulo_1024_is_unknown() -> None:
     assert good.tolist() == [True, False]
 
 
-def test_a_row_at_zero_zero_is_no_place() -> None:
-    time_ns = (1_700_000_000 + np.arange(2)) * 10**9
-    columns = {"lat_rad": np.array([0.0, 0.8]), "lon_rad": np.array([0.0, 0.1])}
-    columns["h_msl_m"] = np.array([0.0, 900.0])
+def test_a_row_at_zero_zero_is_no_place_and_one_without_a_height_is_kept() -> None:
+    time_ns = (1_700_000_000 + np.arange(3)) * 10**9
+    columns = {"lat_rad": np.array([0.0, 0.8, 0.8]), "lon_rad": np.array([0.0, 0.1, 0.1])}
+    columns["h_msl_m"] = np.array([0.0, 900.0, np.nan])
     ledger = Ledger()
-    readable = np.ones(2, np.bool_)
+    readable = np.ones(3, np.bool_)
     channel = channel_of_rows(Path("track.csv"), "CSV", time_ns, columns, ledger, readable=readable)
-    assert channel["lat_rad"].tolist() == [0.8]
+    assert channel["lat_rad"].tolist() == [0.8, 0.8]
     assert [(entry.code, entry.count) for entry in ledger] == [("IMPORT-ROWS", 1)]
 
 
@@ -64,13 +63,6 @@ def test_a_mission_date_in_the_future_is_refused() -> None:
     with pytest.raises(SectionError, match="future"):
         checked_date("2126-05-14")
     assert checked_date("2026-05-14") == "2026-05-14"
-
-
-def test_decimal_degrees_as_exif_writes_them() -> None:
-    """Degrees as one rational, minutes and seconds zero."""
-    assert angle_of("[95/2, 0, 0]") == 47.5
-    with pytest.raises(ValueError, match="is not"):
-        angle_of("[95/2, 30, 0]")
 
 
 def test_a_column_is_stated_by_its_first_field_that_is_not_empty() -> None:

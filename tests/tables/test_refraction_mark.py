@@ -95,15 +95,3 @@ def test_run_refuses_a_table_that_a_sidecar_names(unbend, mission):
     checked = unbend("check", mission.file)
     assert checked.code == 6, checked.text
     assert "OBS-ALREADY-CORRECTED" in checked.err
-
-
-def test_what_another_program_removed_is_refused(mission):
-    mission.config["observations"]["refraction"] = "removed_by_other"
-    ended = mission.run()
-    assert ended.code == 2
-    lines = mission.file.read_text().splitlines()
-    (line,) = [number for number, text in enumerate(lines, 1) if "removed_by_other" in text]
-    words = f"line {line}: observations.refraction: another program has removed refraction"
-    assert words in " ".join(ended.err.split())
-    mission.config["observations"]["refraction"] = "none"
-    assert mission.run().code == 0

@@ -8,46 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from scipy.io import netcdf_file
 
 from tests.helpers import refused
+from tests.tables.arm_sounding import CELSIUS, HECTOPASCAL, RELEASE_S, VARIABLES, write_arm
 from unbend.errors import InputError
 from unbend.messages import Ledger
 from unbend.tables.soundings import read_sounding
 
-RELEASE_S = 1_700_000_000
-# US 1976 at six geopotential heights [m'], dry.
-HEIGHT = np.array([300.0, 1000.0, 2000.0, 3000.0, 5000.0, 8000.0])
-CELSIUS = 15.0 - 0.0065 * HEIGHT
-HECTOPASCAL = 1013.25 * ((CELSIUS + 273.15) / 288.15) ** 5.255877
-
-
-VARIABLES = {
-    "time_offset": np.arange(6) * 60.0 + 12.5,
-    "lat": 36.6,
-    "lon": -97.5,
-    "pres": HECTOPASCAL,
-    "tdry": CELSIUS,
-    "dp": CELSIUS - 10.0,
-    "rh": 50.0,
-    "alt": HEIGHT,
-}
-
-
-def write(name: str, variables=VARIABLES) -> Path:
-    path = Path(name)
-    with netcdf_file(path, "w") as file:
-        file.createDimension("time", 6)
-        base = file.createVariable("base_time", "i", ())
-        base[...] = RELEASE_S
-        for name, values in variables.items():
-            column = file.createVariable(name, "d", ("time",))
-            column[:] = values
-    return path
-
 
 def test_levels_release_and_place():
-    path = write("sonde.cdf")
+    path = write_arm(Path("sonde.cdf"))
 
     sounding = read_sounding(path, Ledger())
 
@@ -57,13 +27,13 @@ def test_levels_release_and_place():
     assert sounding.pressure_pa == pytest.approx(HECTOPASCAL * 100.0)
     # Geopotential heights: 5000 m' are some 5 m more at 36.6 degrees, where g is 9.7983 m/s2.
     geometric = 5000.0 * 9.80665 / 9.7983 * (1 + 5000.0 / 6.36e6)
-    assert sounding.h_m[4] == pytest.approx(geometric, abs=1)
+    assert sounding.h_m[10] == pytest.approx(geometric, abs=1)
 
 
 def test_a_fill_value_is_no_reading():
     filled = CELSIUS.copy()
     filled[3] = -9999.0
-    path = write("filled.cdf", VARIABLES | {"tdry": filled})
+    path = write_arm(Path("filled.cdf"), VARIABLES | {"tdry": filled})
 
     sounding = read_sounding(path, Ledger())
 
@@ -73,7 +43,7 @@ def test_a_fill_value_is_no_reading():
 def test_a_missing_variable_is_refused():
     variables = dict(VARIABLES)
     variables.pop("rh")
-    path = write("without.cdf", variables)
+    path = write_arm(Path("without.cdf"), variables)
     with pytest.raises(InputError, match="it has no variable rh"):
         read_sounding(path, Ledger())
 
@@ -87,7 +57,7 @@ def zipped(name: str, *members: Path) -> Path:
 
 
 def test_a_station_file_as_it_is_distributed():
-    plain = write("sonde.cdf")
+    plain = write_arm(Path("sonde.cdf"))
     archive = zipped("sonde.zip", plain)
 
     sounding = read_sounding(archive, Ledger())
@@ -96,8 +66,8 @@ def test_a_station_file_as_it_is_distributed():
 
 
 def test_an_archive_that_does_not_hold_one_file_is_refused():
-    first = write("sonde.cdf")
-    second = write("other.cdf")
+    first = write_arm(Path("sonde.cdf"))
+    second = write_arm(Path("other.cdf"))
     whole = zipped("two.zip", first, second)
     cut = Path("cut.zip")
     cut.write_bytes(whole.read_bytes()[:-40])

@@ -16,6 +16,7 @@ import xarray
 from tests.conftest import run_command
 from tests.helpers import refused
 from tests.tables.checks import refused_with
+from tests.tables.grib_messages import write_grib
 from unbend.tables.weather_files import contents_of, is_model_file
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
@@ -48,16 +49,8 @@ def era5(tmp_path: Path) -> Path:
 @pytest.fixture
 def gfs(tmp_path: Path) -> Path:
     """GRIB2, temperature at two levels, from ecCodes' sample."""
-    import eccodes
-
     path = tmp_path / "gfs.grib2"
-    with path.open("wb") as file:
-        for level in (850, 500):
-            message = eccodes.codes_grib_new_from_samples("regular_ll_pl_grib2")
-            eccodes.codes_set(message, "level", level)
-            eccodes.codes_set(message, "dataDate", 20260514)
-            eccodes.codes_write(message, file)
-            eccodes.codes_release(message)
+    write_grib(path, [f"level={level},dataDate=20260514" for level in (850, 500)])
     return path
 
 

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from tests.batch.conftest import flip_a_byte
 from tests.conftest import run_command, without_plots
 from tests.weather_texts import sounding_text
 from unbend.batch import input_files, runs, unchanged
@@ -185,23 +186,16 @@ def append(file: Path) -> None:
     file.write_bytes(file.read_bytes() + b"\n")
 
 
-def flip(file: Path) -> None:
-    """Change one byte."""
-    content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 1
-    file.write_bytes(content)
-
-
 @pytest.mark.parametrize(
     ("path", "change"),
     [
         ("flights/f0/flight.bin", append),
-        ("flights/f0/flight.bin", flip),
+        ("flights/f0/flight.bin", flip_a_byte),
         ("flights/f0/observations.parquet", Path.unlink),
         ("flights/f0/mission.yaml", append),
         ("results/flight-0/report.html", Path.unlink),
-        ("results/flight-0/stations.parquet", flip),
-        ("results/flight-0/observations/part-00000.parquet", flip),
+        ("results/flight-0/stations.parquet", flip_a_byte),
+        ("results/flight-0/observations/part-00000.parquet", flip_a_byte),
         ("results/flight-0/observations/part-00009.parquet", Path.touch),
         ("results/flight-0/manifest.json", Path.unlink),
         ("results/flight-0/.staging", Path.mkdir),

@@ -135,18 +135,23 @@ def test_the_default_lattice_and_its_metadata(run):
     written = write_export(run, "lattice")
 
     assert written.count == 4 * 21 * 15
-    metadata = pq.read_schema(written.path).metadata
-    assert metadata[b"unbend.lattice"] == b"21 columns, 15 rows, row by row"
-    assert metadata[b"unbend.mission"] == b"small"
+    schema = pq.read_schema(written.path)
+    assert schema.names == ["image", "x_px", "y_px", "dx_px", "dy_px", "h_g_m", "status"]
+    assert schema.field("dx_px").metadata[b"unit"] == b"px"
+    assert schema.metadata[b"unbend.lattice"] == b"21 columns, 15 rows, row by row"
+    assert schema.metadata[b"unbend.mission"] == b"small"
 
 
 @pytest.mark.parametrize("name", ["lattice", "radial"])
 def test_csv_has_what_parquet_has(run, name):
-    """Names with a comma too; numbers to their last bit, nothing for null."""
-    as_parquet = write_export(run, name)
-    as_csv = write_export(run, f"{name}-csv")
+    """Names with a comma and quotes too; numbers to their last bit, nothing for null."""
+    ground = np.array([GROUND, GROUND, np.nan, GROUND, GROUND])
+    one_is_blind = replace(run, find_ground=lambda _: ground)
+    as_parquet = write_export(one_is_blind, name)
+    as_csv = write_export(one_is_blind, f"{name}-csv")
 
     assert [*as_parquet.ledger] == [*as_csv.ledger]
+    assert "nan" not in as_csv.path.read_text().lower()
     pd.testing.assert_frame_equal(
         as_parquet.table(),
         as_csv.table(),
@@ -195,7 +200,7 @@ def test_a_radial_table_at_45_degrees(run, row, images, h_c_m, focal_px):
     assert at_45.images == images
     assert at_45.h_c_m == h_c_m
     assert at_45.h_g_m == GROUND
-    assert at_45.radius_px == pytest.approx(focal_px)
+    assert at_45.radius_px == pytest.approx(focal_px, rel=1e-12)
     assert at_45.r_c_urad == pytest.approx(r * 1e6, rel=1e-9)
     assert at_45.k_urad == pytest.approx(r * 1e6, rel=1e-9)
     assert at_45.k_manual_urad == pytest.approx(effect_by_the_manual(h_c_km) - k_ground)
@@ -213,6 +218,8 @@ def test_radial_tables_by_camera_and_height(run):
     table = written.table()
     assert_array_equal(table.camera, np.repeat(["nadir", "side"], 81))
     assert table.nadir_angle_deg.tolist() == pytest.approx([*range(81)] * 2)
+    for _, rows in table.groupby("camera"):
+        assert rows.r_c_arcsec.is_monotonic_increasing
     air, window = written.ledger
     assert (air.code, air.count) == ("EXPORT-AIR-CHANGES", 2)
     assert (window.code, window.count) == ("EXPORT-WINDOW", 0)

@@ -179,26 +179,21 @@ def test_angles_count_from_the_axes_of_the_grid(block, crs):
         assert_within(rotation_to_photo(row), expected, 1e-9)
 
 
-def test_convergence_and_scale_stand_in_the_file(block):
-    written = written_in_grid(block, "EPSG:25832+5773", "opk")
-
-    table = written.table()
-    factors = pyproj.Proj("EPSG:25832").get_factors(LON, LAT)
-    assert_within(table.convergence_deg, factors.meridian_convergence, 1e-7)
-    assert_within(table.scale_factor, factors.meridional_scale, 1e-8)
-    assert (table.z_m == H_MSL).all()
-    assert table.omega_deg.notna().all()
-    assert [message.code for message in written.ledger] == ["EXPORT-GRID"]
-
-
-def test_convergence_and_scale_stand_in_the_frame(block):
-    run = in_grid(block, "EPSG:25832+5773", "opk")
-
-    frame = frame_record(FORMATS["opk"].frame(run, {}))
-
+def test_convergence_and_scale_stand_in_the_file_and_its_frame(block):
     factors = pyproj.Proj("EPSG:25832").get_factors(LON, LAT)
     convergence = factors.meridian_convergence
     scale = factors.meridional_scale
+    run = in_grid(block, "EPSG:25832+5773", "opk")
+
+    written = write_export(run, "opk")
+    frame = frame_record(FORMATS["opk"].frame(run, {}))
+
+    table = written.table()
+    assert_within(table.convergence_deg, convergence, 1e-7)
+    assert_within(table.scale_factor, scale, 1e-8)
+    assert (table.z_m == H_MSL).all()
+    assert table.omega_deg.notna().all()
+    assert [message.code for message in written.ledger] == ["EXPORT-GRID"]
     positions = frame["positions"]
     angles = frame["angles"]
     assert positions["kind"] == "projected"

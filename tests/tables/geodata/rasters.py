@@ -12,7 +12,7 @@ from unbend.geodesy import GeoidGrid
 
 
 def write_raster(
-    name: str,
+    name: str | Path,
     stored: np.ndarray,
     transform: Affine,
     *,

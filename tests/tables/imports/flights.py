@@ -13,6 +13,7 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.tables.exports.export_runs import TO_ECEF, enu_axes
 from unbend.errors import InputError
 from unbend.flight.channels import Channel
 from unbend.messages import Ledger
@@ -25,22 +26,8 @@ START = GPS_EPOCH + timedelta(weeks=WEEK, seconds=TOW - 18.0)
 LAT = 47.3
 LON = 8.5
 HEIGHT = 1500.0
-TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 SPEED_M_S = 40.0
 TURN_RAD_S = 2.0 * np.pi / 307.0
-
-
-def enu_axes(lat_deg: float, lon_deg: float) -> np.ndarray:
-    angles = np.radians([lat_deg, lon_deg])
-    sin_lat, sin_lon = np.sin(angles)
-    cos_lat, cos_lon = np.cos(angles)
-    return np.array(
-        [
-            [-sin_lon, cos_lon, 0.0],
-            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
-            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
-        ]
-    )
 
 
 class Flight:
@@ -60,7 +47,7 @@ class Flight:
             5.0 * np.sin(t / 20.0),
         ]
         start = TO_ECEF.transform(LON, LAT, HEIGHT)
-        ecef = np.transpose([start]) + enu_axes(LAT, LON).T @ enu
+        ecef = np.transpose([start]) + enu_axes(LON, LAT).T @ enu
         self.places = TO_ECEF.transform(*ecef, direction="INVERSE")
         self.lon, self.lat, self.height = self.places
         # The block is small: within 0.03 degrees of the axes at its start.
@@ -169,10 +156,20 @@ class Flight:
             )
         return self.put("100_0001_Timestamp.MRK", "".join(lines))
 
-    def eo(self, angles=(-1.05, 0.32, 179.18)) -> Path:
-        """POSPac's text with angles (n, 3) in its unit."""
+    def eo(
+        self,
+        angles=(-1.05, 0.32, 179.18),
+        head="",
+        shift=(0.0, 0.0, 0.0),
+    ) -> Path:
+        """POSPac's text with angles (n, 3) in its unit, more lines of its head, and shifted places.
+
+        Easting, northing and height are shifted; latitude and longitude are not.
+        """
+        in_grid = pyproj.Proj("EPSG:32632")(self.lon, self.lat)
+        grid = np.transpose([*in_grid, self.height]) + shift
         lines = [
-            "POS/AV Computed Data at Camera Perspective Centre\n"
+            f"POS/AV Computed Data at Camera Perspective Centre\n{head}"
             "  Grid: Universal Transverse Mercator; Zone:  UTM North 32 (006E to 012E) ;\n"
             "  Datum: WGS84 ;\n"
             "  (position in Meters, orientation in Degrees, lat, long in Deg)\n\n"
@@ -181,9 +178,10 @@ class Flight:
         ]
         angles = np.broadcast_to(angles, (self.t.size, 3))
         for k, (first, second, third) in enumerate(angles):
+            east, north, up = grid[k]
             lines.append(
-                f"img_{k:03d}\t{k + 1}\t{TOW + self.t[k]:.6f}\t465000.1\t5238000.2\t"
-                f"{self.height[k]:.3f}\t{first:.9f}\t{second:.9f}\t{third:.9f}\t"
+                f"img_{k:03d}\t{k + 1}\t{TOW + self.t[k]:.6f}\t{east:.4f}\t{north:.4f}\t"
+                f"{up:.4f}\t{first:.9f}\t{second:.9f}\t{third:.9f}\t"
                 f"{self.lat[k]:.9f}\t{self.lon[k]:.9f}\n"
             )
         return self.put("eo.txt", "".join(lines))

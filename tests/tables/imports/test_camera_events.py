@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 
 import numpy as np
-import pyproj
 import pytest
 
 from tests.helpers import with_code
@@ -78,17 +77,6 @@ def test_images_without_a_position_keep_their_time_and_are_told(exposures):
     assert lost.count == 1
     (damaged,) = with_code(ledger, "IMPORT-ROWS")
     assert damaged.count == 1
-
-
-def test_what_is_stated_against_an_mrk_holds_and_is_told(exposures):
-    settings = Stated("utc", heights="msl")
-
-    channel, ledger = read(read_mrk, exposures.mrk(), settings)
-
-    of_time, of_height = with_code(ledger, "IMPORT-CONTRADICTED")
-    assert of_time.kind == of_height.kind == "warning"
-    assert ns_off(channel, exposures, LEAP_NS) < 1000
-    assert channel["h_msl_m"] == pytest.approx(exposures.height, abs=1e-3)
 
 
 @pytest.mark.parametrize("content", ["image,lat,lon\n", bytes(range(256))])
@@ -206,30 +194,9 @@ def test_a_damaged_time_moves_no_other_by_a_week(exposures):
     assert ns_off(channel, undamaged) < 1000
 
 
-def eo_with_head(exposures, head: str, shift=(0.0, 0.0, 0.0)):
-    """The text with its head, easting, northing and height shifted; latitude is not."""
-    east, north = pyproj.Proj("EPSG:32632")(exposures.lon, exposures.lat)
-    seconds = TOW + exposures.t
-    columns = (
-        seconds,
-        east + shift[0],
-        north + shift[1],
-        exposures.height + shift[2],
-    )
-    lines = [
-        head + "Zone: UTM North 32; lat, long in Deg; orientation in Degrees",
-        "EVENT TIME (s) EASTING NORTHING ELLIPSOID HEIGHT OMEGA PHI KAPPA LAT LONG",
-    ]
-    for event, numbers in enumerate(np.transpose(columns)):
-        place = " ".join(f"{number:.4f}" for number in numbers)
-        degrees = f"{exposures.lat[event]:.9f} {exposures.lon[event]:.9f}"
-        lines.append(f"{event + 1} {place} 0.5 -0.5 30 {degrees}")
-    return exposures.put("head.txt", "\n".join(lines) + "\n")
-
-
 def test_a_shift_that_latitudes_do_not_have_is_taken_from_the_heights(exposures):
     head = "Shift values: X = 12.000 m, Y = -30.000 m, Z = 48.500 m\n"
-    path = eo_with_head(exposures, head, (12.0, -30.0, 48.5))
+    path = exposures.eo(head=head, shift=(12.0, -30.0, 48.5))
 
     channel, ledger = read(read_eo_text, path, OF_WEEK)
 
@@ -239,7 +206,7 @@ def test_a_shift_that_latitudes_do_not_have_is_taken_from_the_heights(exposures)
 
 @pytest.mark.parametrize("shift", ["X = 12.0 m, Y = -30.0 m, Z = 48.5 m", "X=0, Y=0, Z=48.5"])
 def test_a_shift_that_nothing_shows_is_a_warning(exposures, shift):
-    path = eo_with_head(exposures, f"Shift values: {shift}\n")
+    path = exposures.eo(head=f"Shift values: {shift}\n")
 
     channel, ledger = read(read_eo_text, path, OF_WEEK)
 
@@ -267,11 +234,11 @@ def test_a_shift_that_nothing_shows_is_a_warning(exposures, shift):
     ],
 )
 def test_an_order_that_no_photogrammetric_angles_have_is_refused(exposures, head):
-    path = eo_with_head(exposures, head)
+    path = exposures.eo(head=head)
     assert refusal_of(read_eo_text, path, OF_WEEK).code == "IMPORT-EO-HEAD"
 
 
 def test_an_order_that_is_not_stated_stands_in_the_ledger(exposures):
-    path = eo_with_head(exposures, "")
+    path = exposures.eo()
     _, ledger = read(read_eo_text, path, OF_WEEK)
     assert "states no order" in with_code(ledger, "IMPORT-EO-HEAD")[0].what

@@ -273,10 +273,20 @@ def test_a_table_without_images_is_refused(content, code):
         "2026:05:01",
         "2099:09:15 10:20:30",
         "1970:01:01 00:00:00",
+        "2026:05:06 12:00:00+99:99",
+        "2026:05:06 12:00:00+14:01",
+        "2026:05:06 12:00:00-23:59",
+        "9999:12:31 23:59:59Z",
+        "0001:01:01 00:00:00Z",
     ],
 )
 def test_what_is_no_time(text):
     assert parse_time(text, "UTC") is None
+
+
+@pytest.mark.parametrize("zone", ["+14:01", "-23:59"])
+def test_a_zone_elsewhere_that_no_place_has(zone):
+    assert parse_time("2026:05:06 12:00:00", zone) is None
 
 
 DJI = XMP_BEGIN + (

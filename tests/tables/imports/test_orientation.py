@@ -144,6 +144,23 @@ def test_commas_that_may_be_thousands_are_refused():
     assert error.where.endswith("line 2")
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("3000.5", "1e9", "beyond 100000: 1e+09"),
+        ("3000.5", "1e308", "beyond 100000: 1e+308"),
+        ("47.5", "1e400", "is not a number"),
+        ("8.5", "4_7", "is not a number"),
+        ("1.0", "1_0", "is not a number: '1_0'"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused_with_their_line(before, after, words):
+    text = HEAD + ROW + ROW.replace("a,", "b,").replace(before, after)
+    error = refusal(text, "ORIENTATION-NUMBER")
+    assert words in error.what
+    assert error.where.endswith("line 3")
+
+
 def test_lines_are_counted_from_the_begin_of_the_file():
     head = "# Cameras\n\n# image, lat, lon, h, o, p, k\n"
     wrong = ROW.replace("1.0", "x")
