@@ -16,14 +16,12 @@ from tests.flight.simulator_logs import (
     errors,
     flight,
     sigmas,
+    stations_by,
     unnamed_events,
 )
 from tests.helpers import NS_PER_S
 from unbend.flight.clock import utc_of_gps
-from unbend.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD, with_accuracy
-from unbend.flight.heights import height_system
-from unbend.flight.mount import Mount
-from unbend.flight.station_builder import build_stations
+from unbend.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD
 
 pytestmark = pytest.mark.shared("logs")
 KINDS = ("BIN", "tlog")
@@ -43,19 +41,10 @@ def stations_of(flown, time_ns, every=1, sigma_s=0.0):
     """Stations at some times, by one in ``every`` of the logged attitudes."""
     channels = flown.log.channels
     roles = roles_of(channels)
-    heights, _ = height_system(roles, None)
     attitude = roles["attitude"]
     is_read = np.arange(len(attitude)) % every == 0
     roles["attitude"] = attitude.rows(is_read)
-    roles, accuracy = with_accuracy(roles, channels)
-    stations = build_stations(
-        unnamed_events(time_ns, sigma_s),
-        roles,
-        Mount(),
-        heights,
-        1.0,
-        accuracy=accuracy,
-    )
+    stations = stations_by(roles, channels, unnamed_events(time_ns, sigma_s), 1.0)
     assert stations.ok.all()
     return stations
 
@@ -234,6 +223,7 @@ def test_both_logs_of_a_flight_agree_about_utc(flights, name):
     apart_ns = apart_ns.dropna()
     assert len(apart_ns) > 200
     assert apart_ns.abs().max() < 5e6
+    assert np.ptp(apart_ns) < 2e4  # two clocks fitted to UTC apart, but each is even
 
 
 @pytest.mark.parametrize("name", FLIGHTS)

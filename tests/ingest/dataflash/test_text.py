@@ -11,7 +11,7 @@ from pymavlink.DFReader import DFReader_binary, DFReader_text
 from tests.helpers import refused, with_code
 from tests.ingest import written_logs
 from tests.ingest.dataflash.library import library_messages, library_tables
-from tests.ingest.written_logs import entry_in
+from tests.ingest.written_logs import entry_in, loss_codes
 from tests.logs import LOGS, at_hand
 from unbend.ingest import Log, open_log
 
@@ -104,28 +104,23 @@ def barometer(second: int, dropped: int) -> str:
     return f"BARO, {time_us}, 0, 95000.0, 20.0\nDSF, {time_us}, {dropped}\n"
 
 
-def test_what_the_logger_dropped_is_a_loss_with_its_own_count(opened):
-    first = [barometer(second, 7 * second) for second in range(5, 10)]
-    second = [barometer(second, 2) for second in range(1, 4)]
-    log = opened(DROPS + "".join(first + second))
-    dropped = entry_in(log, "LOG-DROPOUT")
-    assert dropped.kind == "loss"
-    assert dropped.count == log.lost_messages == 65
-    assert log.boots == 2
+TWO_BOOTS = [(5, 35), (6, 42), (7, 49), (8, 56), (9, 63), (1, 2), (2, 2), (3, 2)]
+STARTS_AGAIN = list(enumerate((5, 50, 50, 0, 7, 4_294_967_290, 9)))  # one of them is damaged
+NOTHING_DROPPED = [(second, 0) for second in range(5)]
 
 
-def test_a_logger_that_starts_again_within_a_boot_counts_from_0(opened):
-    counts = (5, 50, 50, 0, 7, 4_294_967_290, 9)  # one of them is damaged
-    rows = [barometer(second, count) for second, count in enumerate(counts)]
-    log = opened(DROPS + "".join(rows))
-    assert log.boots == 1
-    assert log.lost_messages == 59
-
-
-def test_a_logger_that_dropped_nothing_lost_nothing(opened):
-    log = opened(DROPS + "".join(barometer(second, 0) for second in range(5)))
-    assert not log.ledger.has_losses
-    assert log.lost_messages == 0
+@pytest.mark.parametrize(
+    ("counts", "boots", "lost"),
+    [(TWO_BOOTS, 2, 65), (STARTS_AGAIN, 1, 59), (NOTHING_DROPPED, 1, 0)],
+    ids=["two boots", "the logger starts again within a boot", "nothing dropped"],
+)
+def test_what_the_logger_dropped_is_a_loss_with_its_own_count(opened, counts, boots, lost):
+    log = opened(DROPS + "".join(barometer(*count) for count in counts))
+    assert log.boots == boots
+    assert log.lost_messages == lost
+    dropped = [(entry.kind, entry.count) for entry in with_code(log.ledger, "LOG-DROPOUT")]
+    assert dropped == [("loss", lost)] * bool(lost)
+    assert log.ledger.has_losses == bool(lost)
 
 
 def test_the_banner_of_the_firmware_is_no_damage(tmp_path):
@@ -167,7 +162,7 @@ def test_lines_that_make_no_sense_are_counted(opened):
 def test_a_last_line_without_its_end_is_not_trusted(opened):
     log = opened("BARO, 1000000, 0, 95000, 20\nBARO, 1100000, 0, 95000, 2")
     assert log.message_types()["BARO"] == 1
-    assert [entry.code for entry in log.ledger if entry.kind == "loss"] == ["LOG-TRUNCATED"]
+    assert loss_codes(log) == {"LOG-TRUNCATED"}
 
 
 def test_a_definition_that_changes(opened):
