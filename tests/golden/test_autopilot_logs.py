@@ -139,31 +139,30 @@ def stations_of(frame: pd.DataFrame) -> Stations:
     )
 
 
-def assert_stations_are_true(flown: Flown, flight: Flight) -> None:
+def assert_stations_are_true(flown: Flown, flight: Flight, most_yaw_deg: float) -> None:
     """Every event has a station that lies where the truth does."""
-    stations = flown.stations
-    assert (stations["status"] == "ok").all()
-    numbers = stations["image"].str[-5:].astype(int)
-    instances = stations["camera"].map(flight.cameras)
-    exposures = list(zip(instances, numbers, strict=True))
-    truth = flown.truth.set_index(["I", "Img"]).loc[exposures]
-    error = errors(stations_of(stations), truth)
-    position_m = np.hstack([error["horizontal"], error["height"]])
-    distance_m = np.linalg.norm(position_m, axis=1)
-    assert np.percentile(distance_m, 95) < 1.5
-    tilt_deg = np.linalg.norm(error["tilt"], axis=1)
-    assert np.percentile(tilt_deg, 95) < 0.5
-    # The autopilot's own heading is 0.88 deg off at the 95th percentile, in its CAM rows as well.
-    assert np.percentile(np.abs(error["yaw"]), 95) < (0.9 if flight is SURVEY else 0.7)
+    assert (flown.stations["status"] == "ok").all()
+    for camera, instance in flight.cameras.items():
+        stations = flown.stations[flown.stations["camera"] == camera]
+        numbers = stations["image"].str[-5:].astype(int)
+        truth = flown.truth[flown.truth["I"] == instance].set_index("Img").loc[numbers]
+        error = errors(stations_of(stations), truth)
+        position_m = np.hstack([error["horizontal"], error["height"]])
+        distance_m = np.linalg.norm(position_m, axis=1)
+        assert np.percentile(distance_m, 95) < 1.5
+        tilt_deg = np.linalg.norm(error["tilt"], axis=1)
+        assert np.percentile(tilt_deg, 95) < 0.5
+        assert np.percentile(np.abs(error["yaw"]), 95) < most_yaw_deg
 
 
 def test_every_event_has_a_true_station(survey):
-    assert_stations_are_true(survey, SURVEY)
+    """The autopilot's own heading is 0.88 deg off at the 95th percentile, in its CAM rows too."""
+    assert_stations_are_true(survey, SURVEY, most_yaw_deg=0.9)
     assert len(survey.stations) == 256
 
 
 def test_every_event_of_two_cameras_has_a_true_station(two_cameras):
-    assert_stations_are_true(two_cameras, BELOW_SEA)
+    assert_stations_are_true(two_cameras, BELOW_SEA, most_yaw_deg=0.7)
 
 
 def standard_icao(h_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
