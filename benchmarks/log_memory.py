@@ -46,17 +46,24 @@ def bytes_of_channels(log: Log) -> int:
     return size
 
 
-def measure(sample: Path, log: Path, read: str = "channels") -> dict[str, int]:
+def measure(
+    sample: Path,
+    log: Path,
+    read: str = "channels",
+) -> dict[str, int]:
     """How much more memory reading a log took, and the bytes of its columns."""
     open_log(sample)
     before = status("VmRSS")
     if read == "tables":
         tables = read_tables(log)
-        columns = sum(column.nbytes for table in tables.values() for column in table.values())
+        columns = 0
+        for table in tables.values():
+            columns += sum(column.nbytes for column in table.values())
     else:
         opened = open_log(log)
         columns = bytes_of_channels(opened)
-    return {"more": status("VmHWM") - before, "columns": columns}
+    more = status("VmHWM") - before
+    return {"more": more, "columns": columns}
 
 
 def main(step: str, first: Path, second: Path, *more: str):

@@ -228,7 +228,20 @@ def test_a_mission_is_told_of_its_gimbal(mission, unbend):
     columns = "TimeUS,I,DRoll,Roll,DPitch,Pitch,DYawB,YawB,DYawE,YawE,Dist"
     writer.define(99, "MNT", "QBfffffffff", columns)
     for time_us in open_log(mission.log).message("ATT")["TimeUS"].tolist():
-        writer.row("MNT", time_us, 0, 0, 0, 0, -45, 0, 4, 0, 4, 0)
+        writer.row(
+            "MNT",
+            time_us,
+            0,
+            0,
+            0,
+            0,
+            -45,
+            0,
+            4,
+            0,
+            4,
+            0,
+        )
     mission.log.write_bytes(writer.data)
 
     of_aircraft = unbend("check", mission.save()).text

@@ -39,7 +39,12 @@ def logs():
 def stations_of(channels, time_ns):
     """The stations as a run builds them, and how many exposures each code of the ledger counts."""
     examined, suspect, _ = examine(channels, plausible_roles(channels))
-    stations = stations_by(examined, channels, unnamed_events(time_ns), 2.0)
+    stations = stations_by(
+        examined,
+        channels,
+        unnamed_events(time_ns),
+        max_gap_s=2.0,
+    )
     flagged, notes = flag_suspect(stations, suspect, use_suspect=False)
     return flagged, Counter({note.code: note.count for note in notes})
 

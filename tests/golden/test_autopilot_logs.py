@@ -139,13 +139,18 @@ def stations_of(frame: pd.DataFrame) -> Stations:
     )
 
 
-def assert_stations_are_true(flown: Flown, flight: Flight, most_yaw_deg: float) -> None:
+def assert_stations_are_true(
+    flown: Flown,
+    flight: Flight,
+    most_yaw_deg: float,
+) -> None:
     """Every event has a station that lies where the truth does."""
     assert (flown.stations["status"] == "ok").all()
     for camera, instance in flight.cameras.items():
         stations = flown.stations[flown.stations["camera"] == camera]
         numbers = stations["image"].str[-5:].astype(int)
-        truth = flown.truth[flown.truth["I"] == instance].set_index("Img").loc[numbers]
+        truth = flown.truth[flown.truth["I"] == instance]
+        truth = truth.set_index("Img").loc[numbers]
         error = errors(stations_of(stations), truth)
         position_m = np.hstack([error["horizontal"], error["height"]])
         distance_m = np.linalg.norm(position_m, axis=1)

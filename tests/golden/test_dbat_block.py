@@ -264,10 +264,15 @@ def test_what_is_read_gives_dbats_solution(raw, read):
         read_rotation, read_centre = read.poses[name]
         np.testing.assert_allclose(read_rotation, rotation, atol=1e-12)
         np.testing.assert_allclose(read_centre, centre, atol=1e-6)
-    pairs = read.rows.merge(raw.rows, on=["image", "point"], suffixes=("", "_raw"))
+    pairs = read.rows.merge(
+        raw.rows,
+        on=["image", "point"],
+        suffixes=("", "_raw"),
+    )
     assert len(pairs) == len(read.rows) == len(raw.rows)
     for name in PIXELS:
-        assert (pairs[name] == pairs[f"{name}_raw"]).all()
+        of_raw = pairs[f"{name}_raw"]
+        assert (pairs[name] == of_raw).all()
     assert list(read.control) == list(raw.control)
     for point, position in raw.control.items():
         assert read.control[point].tolist() == position.tolist()

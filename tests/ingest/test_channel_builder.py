@@ -65,7 +65,11 @@ def test_an_exposure_without_a_place_has_no_height_either():
         "lon_rad": [0.1, 0.0, 0.0, largest_rad, np.pi],
         "h_msl_m": [5.0, 0.0, 6.0, 2_147_483.647, 7.0],
     }
-    channel, _ = built(SHOT, [1, 2, 3, 4, 5], **logged)
+    channel, _ = built(
+        SHOT,
+        [1, 2, 3, 4, 5],
+        **logged,
+    )
     for name, values in logged.items():
         expected = np.array(values)
         expected[[1, 3]] = np.nan
@@ -74,7 +78,11 @@ def test_an_exposure_without_a_place_has_no_height_either():
 
 def test_exposures_are_numbered_after_repeats_and_before_rows_out_of_order_are_dropped():
     times = [1, 2, 2, 3, 4, 5, 6, 2.5, 7, 8]
-    channel, ledger = built(SHOT, times, h_msl_m=list(range(10)))
+    channel, ledger = built(
+        SHOT,
+        times,
+        h_msl_m=list(range(10)),
+    )
     assert channel["h_msl_m"].tolist() == [0, 1, 3, 4, 5, 6, 8, 9]
     assert channel["event_index"].tolist() == [0, 1, 2, 3, 4, 5, 7, 8]
     assert {e.code: e.count for e in ledger} == {"TIME-REPEAT": 1, "TIME-BACKWARD": 1}

@@ -458,7 +458,11 @@ def test_an_instance_that_is_not_there_is_not_told_as_messages_that_do_not_fit(o
 def test_a_schema_that_cannot_be_parsed_costs_its_topic(opened):
     writer = McapWriter()
     odd = writer.channel("/odd", "cdr", "sensor_msgs/msg/FluidPressure", "wstring name")
-    writer.write(odd, START, CDR + b"abc")
+    writer.write(
+        odd,
+        START,
+        CDR + b"abc",
+    )
     writer.write(temperatures(writer), START, fifteen_degrees())
     log = opened(writer.data)
     entry = entry_in(log, "LOG-SCHEMA")

@@ -94,7 +94,12 @@ def test_a_glitch_of_the_clock_is_no_boot_and_costs_its_own_rows(opened, rows):
         at_us = START_US + 50_000 * k
         boot_ms = 60_000 + 50 * k
         if k % 20 == 0:
-            bus.send("system_time", at_us, time_unix_usec=at_us, time_boot_ms=boot_ms)
+            bus.send(
+                "system_time",
+                at_us,
+                time_unix_usec=at_us,
+                time_boot_ms=boot_ms,
+            )
             bus.send("vfr_hud", at_us, airspeed=40.0)
         ahead_ms = 11 * 86_400_000 if k in rows else 0
         bus.send("attitude", at_us, time_boot_ms=boot_ms + ahead_ms)
