@@ -1,6 +1,7 @@
 """Cameras on gimbals: where they look, and what is said of it. Expected directions by hand."""
 
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from tests.flight.made_channels import (
     with_columns,
 )
 from tests.helpers import channel
-from tests.ingest.written_logs import DataFlashWriter
 from unbend.flight.exposures import Events
 from unbend.flight.heights import HeightSystem
 from unbend.flight.mount import Mount, gimbal_notes, payload_attitude
@@ -222,14 +222,16 @@ def test_a_gimbal_that_nobody_follows_is_told(messages, ignored, roles):
         assert "fixed to the aircraft" in note.what
 
 
+MNT = "<QB9f"
+MNT_COLUMNS = b"TimeUS,I,DRoll,Roll,DPitch,Pitch,DYawB,YawB,DYawE,YawE,Dist"
+
+
 def test_a_mission_is_told_of_its_gimbal(mission, unbend):
-    writer = DataFlashWriter()
-    writer.data = mission.log.read_bytes()
-    columns = "TimeUS,I,DRoll,Roll,DPitch,Pitch,DYawB,YawB,DYawE,YawE,Dist"
-    writer.define(99, "MNT", "QBfffffffff", columns)
+    definition = (99, 3 + struct.calcsize(MNT), b"MNT", b"QBfffffffff", MNT_COLUMNS)
+    data = mission.log.read_bytes() + b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", *definition)
     for time_us in open_log(mission.log).message("ATT")["TimeUS"].tolist():
-        writer.row(
-            "MNT",
+        data += b"\xa3\x95\x63" + struct.pack(
+            MNT,
             time_us,
             0,
             0,
@@ -242,7 +244,7 @@ def test_a_mission_is_told_of_its_gimbal(mission, unbend):
             4,
             0,
         )
-    mission.log.write_bytes(writer.data)
+    mission.log.write_bytes(data)
 
     of_aircraft = unbend("check", mission.save()).text
     mission.config["log"]["channels"]["attitude"] = "MNT[0]"

@@ -19,11 +19,14 @@ from tests.flight.simulator_logs import (
     errors,
     flight,
     sigmas,
-    stations_by,
     unnamed_events,
 )
 from unbend.flight.evidence.contradictions import examine
+from unbend.flight.evidence.log_accuracy import with_accuracy
 from unbend.flight.evidence.stretches import flag_suspect
+from unbend.flight.heights import height_system
+from unbend.flight.mount import Mount
+from unbend.flight.station_builder import build_stations
 
 DRAWS = 208 if int(os.environ.get("UNBEND_FLIGHTS", "0")) >= 208 else 104
 FAR = {"horizontal": 5.0, "height": 5.0, "tilt": 1.0}  # [m], and degrees of the optical axis
@@ -39,11 +42,15 @@ def logs():
 def stations_of(channels, time_ns):
     """The stations as a run builds them, and how many exposures each code of the ledger counts."""
     examined, suspect, _ = examine(channels, plausible_roles(channels))
-    stations = stations_by(
-        examined,
-        channels,
+    heights, _ = height_system(examined, None)
+    roles, accuracy = with_accuracy(examined, channels)
+    stations = build_stations(
         unnamed_events(time_ns),
-        max_gap_s=2.0,
+        roles,
+        Mount(),
+        heights,
+        2.0,
+        accuracy=accuracy,
     )
     flagged, notes = flag_suspect(stations, suspect, use_suspect=False)
     return flagged, Counter({note.code: note.count for note in notes})

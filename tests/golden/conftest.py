@@ -11,9 +11,9 @@ import yaml
 
 import unbend
 from tests.conftest import without_plots
-from tests.logs import REPOSITORY
 from unbend.batch.executors import Outcome
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED = REPOSITORY.parent / "shared"
 
 KINDS = ("bin", "tlog", "mcap")

@@ -15,7 +15,7 @@ import pandas as pd
 import yaml
 from scipy.interpolate import make_interp_spline
 
-from unbend.atmosphere import Profile, standard_atmosphere
+from unbend.atmosphere import standard_atmosphere
 from unbend.simulate.flight import UNDULATION_M
 from unbend.simulate.optics import (
     CAMERA_FROM_BODY,
@@ -51,11 +51,12 @@ POINTS = 300
 Array = np.ndarray
 
 
-class SplinedIndex:
-    """The index of an air over the height above sea level, by a spline of degree 7."""
+class TrueIndex:
+    """The index of US 1976 over the height above sea level, by a spline of degree 7."""
 
-    def __init__(self, air: Profile) -> None:
+    def __init__(self) -> None:
         h = np.arange(-300.0, 12_000.0, 20.0)
+        air = standard_atmosphere("us1976")
         self.spline = make_interp_spline(
             h,
             air.refractivity(h),
@@ -220,7 +221,7 @@ def measured(
     """What these images see of these points, along bent rays."""
     centre = block.centre[station]
     rays = shoot(
-        SplinedIndex(standard_atmosphere("us1976")),
+        TrueIndex(),
         centre,
         block.place[point],
         UNDULATION_M,

@@ -28,7 +28,16 @@ from tests.dbat_project import (
     SIZE_PX,
     write_project,
 )
-from unbend.tables.imports.blocks import dbat
+from unbend.atmosphere import standard_atmosphere
+from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
+from unbend.flight.stations import empty_stations
+from unbend.messages import Ledger
+from unbend.refraction import Camera, Exposures
+from unbend.refraction.ray import rays_by
+from unbend.simulate.optics import enu_axes, height_and_up, to_ecef
+from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
+from unbend.tables.imports.blocks import block_reader, dbat
+from unbend.tables.pixels import COLMAP
 
 from .conftest import SHARED
 
@@ -40,6 +49,7 @@ from .bundle_adjustment import Adjustment
 
 STRASBOURG_FOLDER = SHARED / "ba" / "dbat_sxb"
 WIDTH_PX, HEIGHT_PX = SIZE_PX
+PLACE = np.radians(48.58), np.radians(7.75)  # for formats that need a latitude and a longitude
 ORIGIN = np.array([1_000_000.0, 112_400.0, 0.0])
 GROUND_M = 140.0  # of all points, to 10 m or so
 WITHIN_M = 0.05  # the control is held: this moves a check point by 4.4 cm
@@ -175,16 +185,31 @@ def read(block) -> Project:
     assert camera.fx_px == camera.fy_px
     images = dbat.read_images(script)
     names, positions = dbat.read_points(script)
-    turns = Rotation.from_quat(images.angles, scalar_first=True).as_matrix()
-    poses = zip(turns, images.position, strict=True)
-    rows = [batch.to_pandas() for batch in dbat.read_rows(script)]
+    poses = poses_by_image(images.image, rotations_of(images.angles), images.position)
     return Project(
         camera=(camera.fx_px, camera.cx_px, camera.cy_px),
-        poses=dict(zip(images.image, poses, strict=True)),
-        rows=pd.concat(rows, ignore_index=True),
+        poses=poses,
+        rows=joined(dbat.read_rows(script)),
         control=dict(zip(names.to_pylist(), positions, strict=True)),
         solution=block.solution,
     )
+
+
+def rotations_of(quaternions: Array) -> Array:
+    return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+
+
+def poses_by_image(
+    images,
+    turns: Array,
+    centres: Array,
+) -> Poses:
+    poses = zip(turns, centres, strict=True)
+    return dict(zip(images, poses, strict=True))
+
+
+def joined(batches) -> pd.DataFrame:
+    return pd.concat([batch.to_pandas() for batch in batches], ignore_index=True)
 
 
 def adjust(project: Project) -> tuple[float, int, dict[str, Array]]:
@@ -257,6 +282,21 @@ def assert_is_dbats(project: Project) -> None:
         assert np.abs(checks[point] - position).max() < WITHIN_M
 
 
+def assert_same_image_points(
+    rows: pd.DataFrame,
+    project: Project,
+    within_px: float,
+) -> None:
+    pairs = rows.merge(
+        project.rows,
+        on=["image", "point"],
+        suffixes=("", "_before"),
+    )
+    assert len(pairs) == len(rows) == len(project.rows)
+    before = pairs[["x_px_before", "y_px_before"]]
+    np.testing.assert_allclose(pairs[PIXELS], before, rtol=0.0, atol=within_px)
+
+
 def test_what_is_read_gives_dbats_solution(raw, read):
     assert read.camera == pytest.approx(raw.camera, abs=1e-9)
     assert list(read.poses) == list(raw.poses)
@@ -264,15 +304,7 @@ def test_what_is_read_gives_dbats_solution(raw, read):
         read_rotation, read_centre = read.poses[name]
         np.testing.assert_allclose(read_rotation, rotation, atol=1e-12)
         np.testing.assert_allclose(read_centre, centre, atol=1e-6)
-    pairs = read.rows.merge(
-        raw.rows,
-        on=["image", "point"],
-        suffixes=("", "_raw"),
-    )
-    assert len(pairs) == len(read.rows) == len(raw.rows)
-    for name in PIXELS:
-        of_raw = pairs[f"{name}_raw"]
-        assert (pairs[name] == of_raw).all()
+    assert_same_image_points(read.rows, raw, within_px=0.0)
     assert list(read.control) == list(raw.control)
     for point, position in raw.control.items():
         assert read.control[point].tolist() == position.tolist()
@@ -284,3 +316,242 @@ def test_it_notices_other_axes(raw):
     mirrored = raw.rows.assign(y_px=HEIGHT_PX - raw.rows["y_px"])
     with pytest.raises(AssertionError):
         assert_is_dbats(replace(raw, rows=mirrored))
+
+
+def exported(project: Project, name: str, folder: Path) -> Path:
+    """The block in a format of other programs, as if it stood at Strasbourg, free of refraction."""
+    rotations, centres = zip(*project.poses.values(), strict=True)
+    rotation = np.stack(rotations)
+    centre = np.stack(centres)
+    axes = enu_axes(*PLACE)
+    ecef = to_ecef(*PLACE, np.array(0.0)) + (centre - ORIGIN) @ axes
+    height_m, up = height_and_up(ecef)
+    lat_rad = np.arcsin(up[:, 2])
+    lon_rad = np.arctan2(up[:, 1], up[:, 0])
+    camera_from_enu = rotation @ axes @ np.swapaxes(enu_axes(lat_rad, lon_rad), 1, 2)
+    quaternions = Rotation.from_matrix(camera_from_enu).as_quat(
+        canonical=True,
+        scalar_first=True,
+    )
+    count = len(project.poses)
+    images = np.array(list(project.poses), object)
+    stations = replace(
+        empty_stations(images, np.full(count, "aerial", object), "ok"),
+        lat_rad=lat_rad,
+        lon_rad=lon_rad,
+        h_ellipsoid_m=height_m,
+        h_msl_m=height_m,
+        sigma_horizontal_m=np.full(count, 0.05),
+        sigma_height_m=np.full(count, 0.05),
+        quaternion=quaternions,
+    )
+    air = standard_atmosphere("us1976")
+    outside = air.refractivity(height_m)
+    usable = np.full(count, True)
+    exposures = Exposures(usable, camera_from_enu, lat_rad, height_m, outside, outside)
+
+    part = folder / "part.parquet"
+    corrected = project.rows.assign(
+        x_corrected_px=project.rows["x_px"],
+        y_corrected_px=project.rows["y_px"],
+        h_g_m=GROUND_M,
+        status="ok",
+    )
+    corrected.to_parquet(part)
+
+    f_px, cx_px, cy_px = project.camera
+    camera = Camera(WIDTH_PX, HEIGHT_PX, f_px, f_px, cx_px, cy_px)
+    run = FinishedRun(
+        "strasbourg",
+        stations,
+        exposures,
+        constant_series(TimedProfile(None, air), count),
+        (rays_by(air, "spherical"),),
+        "spherical",
+        {"aerial": ExportCamera(camera, False, PIXEL_MM)},
+        lambda _: np.full(count, GROUND_M),
+        COLMAP,
+        (part,),
+        {},
+    )
+    form = FORMATS[name]
+    out = folder / f"block{form.ending}"
+    if not form.ending:
+        out.mkdir()
+    written = form.write(
+        run,
+        form.values({}),
+        out,
+        Ledger(),
+    )
+
+    points_of_one_image = 1 if name == "bundler" else 0  # which it leaves out
+    assert written == len(project.rows) - points_of_one_image
+    return out
+
+
+def in_dbats_frame(
+    poses: Poses,
+    turns: Array,
+    places: Array,
+) -> Poses:
+    """Orientations in another frame, turned back by the places of the cameras: the same poses."""
+    centres = np.stack([centre for _, centre in poses.values()])
+    middle = centres.mean(axis=0)
+    offsets = places - places.mean(axis=0)
+    frame, _ = Rotation.align_vectors(offsets, centres - middle)
+
+    moved = frame.inv().apply(offsets) + middle
+    turned = turns @ frame.as_matrix()
+
+    np.testing.assert_allclose(moved, centres, atol=1e-3)
+    np.testing.assert_allclose(
+        turned,
+        [turn for turn, _ in poses.values()],
+        atol=1e-6,
+    )
+    return poses_by_image(poses, turned, moved)
+
+
+@pytest.mark.parametrize(
+    ("name", "within_px"),
+    [("colmap", 0.0), ("colmap-database", 0.0005), ("opensfm", 1e-5)],
+)
+def test_a_round_trip_gives_dbats_solution(read, tmp_path, name, within_px):
+    """Written, read again, and turned back into DBAT's frame by the places of the cameras."""
+    path = exported(read, name, tmp_path)
+
+    form = block_reader(name.partition("-")[0])
+    (make_camera,) = form.read_cameras(path).values()
+    camera = make_camera()
+    rows = joined(form.read_rows(path))
+    poses = read.poses
+    if name != "colmap-database":  # which has no orientations
+        images = form.read_images(path)
+        order = [list(images.image).index(image) for image in poses]
+        turns = rotations_of(images.angles[order])
+        poses = in_dbats_frame(poses, turns, images.position[order])
+
+    # COLMAP has no name of a point of one image, and a database of none, but keypoints keep places.
+    is_nameless = rows["point"].str.contains(":")
+    expected_nameless = {"colmap": 1, "colmap-database": len(rows), "opensfm": 0}
+    assert is_nameless.sum() == expected_nameless[name]
+    keypoints = ["image", "keypoint"]
+    name_of = read.rows.set_index(keypoints)["point"]
+    nameless = pd.MultiIndex.from_frame(rows.loc[is_nameless, keypoints])
+    rows.loc[is_nameless, "point"] = name_of.reindex(nameless).to_numpy()
+    assert_same_image_points(rows, read, within_px)
+    interior = (camera.fx_px, camera.cx_px, camera.cy_px)
+    assert interior == pytest.approx(read.camera, abs=1e-4)
+    assert_is_dbats(
+        replace(
+            read,
+            camera=interior,
+            poses=poses,
+            rows=rows,
+        )
+    )
+
+
+@dataclass(frozen=True)
+class BundlerBlock:
+    """Image points are from the middle of the image, x to the right, y up [px]."""
+
+    focal_px: float
+    names: list[str]
+    turns: Array  # to COLMAP's axes
+    centres: Array
+    rows: pd.DataFrame
+
+
+def bundler_block(folder: Path) -> BundlerBlock:
+    """A block as Bundler defines it.
+
+    A point X is P = R X + t in a camera that looks along -z, y up, and f (-P / P_z) in pixels from
+    the middle of the image, x to the right, y up. Two lines of numbers before the cameras, five
+    lines for each camera, three for each point.
+    """
+    lines = (folder / "bundle.out").read_text(encoding="ascii").splitlines()
+    assert lines[0] == "# Bundle file v0.3"
+    cameras, points = map(int, lines[1].split())
+    first_point = 2 + 5 * cameras
+    assert len(lines) == first_point + 3 * points
+
+    numbers = np.array(" ".join(lines[2:first_point]).split(), float).reshape(cameras, 15)
+    focals_px = set(numbers[:, 0])
+    assert np.all(numbers[:, 1:3] == 0.0)
+    assert len(focals_px) == 1
+    turns = numbers[:, 3:12].reshape(-1, 3, 3)
+    centres = -np.einsum("nji,nj->ni", turns, numbers[:, 12:])
+
+    names = (folder / "list.txt").read_text(encoding="ascii").split()
+    rows = []
+    for point, line in enumerate(lines[first_point + 2 :: 3]):
+        count, *views = line.split()
+        assert len(views) == 4 * int(count)
+        for camera, _, x, y in np.reshape(views, (-1, 4)):
+            rows.append((names[int(camera)], point, float(x), float(y)))
+    return BundlerBlock(
+        focal_px=focals_px.pop(),
+        names=names,
+        turns=turns * [[1.0], [-1.0], [-1.0]],
+        centres=centres,
+        rows=pd.DataFrame(rows, columns=["image", "number", "x", "y"]),
+    )
+
+
+def test_bundler_gives_dbats_solution(read, tmp_path):
+    """Points of an ideal camera; they have numbers, and their names by their places."""
+    bundler = bundler_block(exported(read, "bundler", tmp_path))
+
+    assert bundler.names == list(read.poses)
+    focal_px, cx_px, cy_px = read.camera
+    assert bundler.focal_px == focal_px
+    by_place = ["image", "x_px"]
+    rows = bundler.rows
+    rows["x_px"] = rows["x"] + cx_px
+    rows["y_px"] = cy_px - rows["y"]
+    rows = rows.sort_values(by_place)
+    is_tied = read.rows.groupby("point")["image"].transform("size") > 1
+    tied = read.rows[is_tied].sort_values(by_place)
+    assert rows["image"].tolist() == tied["image"].tolist()
+    np.testing.assert_allclose(
+        rows[PIXELS],
+        tied[PIXELS],
+        rtol=0.0,
+        atol=1e-6,
+    )
+    names = rows.assign(point=tied["point"].to_numpy())
+    pairs = names[["number", "point"]].drop_duplicates()
+    assert pairs["number"].is_unique
+    assert pairs["point"].is_unique
+    # One image alone sees a control point, which Bundler's points have no place for: without it the
+    # adjustment itself ends 7 cm elsewhere, so it is measured again.
+    lone = read.rows[~is_tied]
+    assert len(lone) == 1
+    poses = in_dbats_frame(read.poses, bundler.turns, bundler.centres)
+    measured_again = pd.concat([names, lone])
+    assert_is_dbats(replace(read, poses=poses, rows=measured_again))
+
+
+def test_bingo_gives_dbats_solution(read, tmp_path):
+    """Millimetres from the middle of the image, y up; it has no orientations."""
+    folder = exported(read, "bingo", tmp_path)
+
+    assert not (folder / "names.csv").exists()  # no name was too long
+    rows = []
+    image = None
+    for line in (folder / "image.dat").read_text(encoding="ascii").splitlines():
+        if line == "-99":
+            image = None
+        elif image is None:
+            image, camera = line.split()
+            assert camera == "aerial"
+        else:
+            point, x_mm, y_mm = line.split()
+            x_px = WIDTH_PX / 2 + float(x_mm) / PIXEL_MM
+            y_px = HEIGHT_PX / 2 - float(y_mm) / PIXEL_MM
+            rows.append((image, point, x_px, y_px))
+    table = pd.DataFrame(rows, columns=["image", "point", *PIXELS])
+    assert_same_image_points(table, read, within_px=1e-5)
+    assert_is_dbats(replace(read, rows=table))

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
-from .conftest import REPOSITORY, sample_sections, write_mission
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = ROOT / "configs" / "sample_bin.yaml"
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/fd").is_dir(), reason="what is open is read from /proc"
@@ -43,7 +45,7 @@ def like_windows(tmp_path_factory):
     )
     inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(folder), str(REPOSITORY), *filter(None, inherited)]),
+        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT), *filter(None, inherited)]),
         "PYTHONWARNDEFAULTENCODING": "1",
         "PYTHONIOENCODING": "cp1252",
     }
@@ -65,6 +67,18 @@ def like_windows(tmp_path_factory):
 
     run.folder = folder
     return run
+
+
+def sample(folder: Path, name: str) -> Path:
+    """The sample's mission file with absolute inputs and a folder of results of its own."""
+    config = yaml.safe_load(SAMPLE.read_text(encoding="utf-8"))
+    for section in ("log", "observations"):
+        config[section]["path"] = str((SAMPLE.parent / config[section]["path"]).resolve())
+    config["mission"]["name"] = name
+    config["output"]["path"] = f"results/{name}"
+    path = folder / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
+    return path
 
 
 @pytest.mark.parametrize(
@@ -131,9 +145,8 @@ def test_the_rooms_can_be_imported(like_windows):
 def test_the_sample_runs_and_is_the_same(like_windows, runs, tmp_path):
     folder = tmp_path / "Vol \u03a9"  # no letter of code page 1252
     folder.mkdir()
+    like_windows("-m", "unbend", "run", sample(folder, "first"))
     results = folder / "results" / "first"
-    sections = sample_sections("bin", results.relative_to(folder))
-    like_windows("-m", "unbend", "run", write_mission(folder / "first.yaml", **sections))
     names = [path.relative_to(results) for path in sorted(results.rglob("*"))]
     assert not [name for name in names if set(str(name)) & set('<>:"|?*\\')], names
     rows, usual = (
@@ -162,9 +175,7 @@ def test_missions_run_again_and_side_by_side(like_windows, mission_factory, tmp_
 
 
 def test_logs_are_inspected(like_windows):
-    logs = [
-        str(REPOSITORY / "sample_logs" / f"flight.{suffix}") for suffix in ("bin", "tlog", "mcap")
-    ]
+    logs = [str(ROOT / "sample_logs" / f"flight.{suffix}") for suffix in ("bin", "tlog", "mcap")]
     words = [["inspect", log, "--json"] for log in logs] + [["inspect", logs[0]]]
     *texts, shown, _ = like_windows("-c", COMMANDS, json.dumps(words)).split("\f")
     assert len(texts) == 3

@@ -17,7 +17,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tests.golden.held_block import SplinedIndex, angles_of
 from unbend import correct, standard_atmosphere
 from unbend.atmosphere import Profile
 from unbend.atmosphere.covariance import ProfileCovariance
@@ -84,6 +83,21 @@ def expected_air() -> TimedProfile:
     matrix[k + 1, k + 1] = 0.003**2
     profile = air_of(np.zeros(size))
     return TimedProfile(None, profile, ProfileCovariance(profile, 0.0, matrix))
+
+
+@dataclass(frozen=True)
+class MediumOfProfile:
+    """A profile for the simulator's rays."""
+
+    profile: Profile
+
+    def n(self, h_m: Array) -> Array:
+        return 1.0 + self.profile.refractivity(h_m)
+
+    def dn_dh(self, h_m: Array) -> Array:
+        above = self.profile.refractivity(h_m + 2.0)
+        below = self.profile.refractivity(h_m - 2.0)
+        return (above - below) / 4.0
 
 
 @dataclass(frozen=True)
@@ -184,7 +198,7 @@ def measured(
     assert air.covariance is not None
     mode = leading_mode(air.profile, air.covariance, rays, h_g)
     assert mode is not None
-    true = SplinedIndex(air_of(sigmas * mode.state))
+    true = MediumOfProfile(air_of(sigmas * mode.state))
     apparent = (
         shoot(
             true,
@@ -198,7 +212,8 @@ def measured(
     pixel = F * ray[:, :2] / ray[:, 2:] + PRINCIPAL
     pixel += noise_px * rng.standard_normal(pixel.shape)
 
-    lat, lon = angles_of(up)
+    lat = np.arcsin(up[:, 2])
+    lon = np.arctan2(up[:, 1], up[:, 0])
     of_enu = block.turn @ AXES @ np.swapaxes(enu_axes(lat, lon), 1, 2)
     quaternion = Rotation.from_matrix(of_enu).as_quat()
     stations = pd.DataFrame(quaternion, columns=["q_x", "q_y", "q_z", "q_w"])

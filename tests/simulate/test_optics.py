@@ -135,8 +135,14 @@ def rays():
     )
 
 
-def test_ellipsoid_agrees_with_the_osculating_sphere(rays):
+def test_apparent_ray_is_farther_from_the_nadir(rays):
+    up = enu_axes(LAT, LON)[2]
     assert rays.miss_m.max() < 1e-8
+    assert np.all(rays.r_c_rad > 0.0)
+    assert np.all(rays.apparent @ up > rays.straight @ up)
+
+
+def test_ellipsoid_agrees_with_the_osculating_sphere(rays):
     east, north, up = (rays.apparent @ enu_axes(LAT, LON).T).T
     zeta = np.arctan2(np.hypot(east, north), -up)
     azimuth = np.arctan2(east, north)

@@ -118,6 +118,20 @@ def test_repeats_and_the_empty_row_of_the_camera_feedback(real_log):
     assert entry_in(log, "EVENT-NO-PULSE").where == "CAMERA_FEEDBACK[0]"
 
 
+def test_the_two_logs_of_one_flight_agree(real_log):
+    tlog = open_log(real_log("sitl_belowsea_2cam.tlog"))
+    flash = open_log(real_log("sitl_belowsea_2cam.BIN"))
+    for camera in (0, 1):
+        ours = tlog.channel(f"CAMERA_FEEDBACK[{camera}]")
+        theirs = flash.channel(f"CAM[{camera}]")
+        # two clocks fitted to UTC apart; the receiver's time moves in steps of 200 ms
+        apart = (ours.time_ns - theirs.time_ns) / 1e9
+        assert np.abs(apart).max() < 0.25
+        assert np.ptp(apart) < 2e-5  # camera 1 is stamped once for each log
+        assert_array_equal(ours["event_index"], theirs["event_index"])
+        assert_allclose(ours["lat_rad"], theirs["lat_rad"], atol=1e-15)
+
+
 def test_a_ground_station_with_its_own_system_time_is_not_the_vehicle(real_log):
     log = open_log(real_log("ardusub_small.tlog"))
     assert log.messages["SYSTEM_TIME"] == 794  # 792 of the vehicle, 2 of the ground station
