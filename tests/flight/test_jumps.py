@@ -278,9 +278,10 @@ def test_a_glitch_beside_an_alignment_is_a_loss():
 
 
 def test_each_value_and_sample_that_is_not_used_keeps_its_reason():
-    """Row 20 has nothing left; of rows 5 and 30 the other value is used."""
+    """Row 20 has nothing left; of rows 5 and 30 the other value is used. Each is counted once."""
     pressure_pa = np.full(40, 9e4)
     pressure_pa[[5, 20]] = [1.0, 8e4]  # out of range; a jump there and back
+    pressure_pa[35] = np.nan  # missing in the log itself
     temperature_k = np.full(40, 280.0)
     temperature_k[[20, 30]] = [np.nan, 900.0]
     log = channel(
@@ -290,19 +291,28 @@ def test_each_value_and_sample_that_is_not_used_keeps_its_reason():
         temperature_k=temperature_k,
     )
 
-    masked, _ = mask_impossible_values(log)
+    masked, notes_of_log = mask_impossible_values(log)
 
+    assert sorted(counted(notes_of_log)) == [
+        ("loss", "SENSOR-JUMP", 1),
+        ("loss", "SENSOR-RANGE", 1),
+        ("loss", "SENSOR-RANGE", 1),
+    ]
+    assert len(masked) == 39
     assert masked.removed.time_ns.tolist() == [20 * NS_PER_S]
     assert masked.removed.reason.tolist() == [Reason.JUMP]
-    for role, row in (("pressure", 5), ("temperature", 30)):
+    of_pressure = {5: Reason.OUT_OF_RANGE, 20: Reason.JUMP, 35: Reason.NO_VALUE}
+    of_temperature = {20: Reason.JUMP, 30: Reason.OUT_OF_RANGE}
+    missing = [("loss", "SENSOR-RANGE", 1)]
+    for role, reasons, expected in (
+        ("pressure", of_pressure, missing),
+        ("temperature", of_temperature, []),
+    ):
         kept, notes = plausible_samples(masked, role)
-        assert notes == ()
-        assert len(kept) == 38
-        removed = dict(zip(kept.removed.time_ns, kept.removed.reason, strict=True))
-        assert removed == {
-            row * NS_PER_S: Reason.OUT_OF_RANGE,
-            20 * NS_PER_S: Reason.JUMP,
-        }
+        assert counted(notes) == expected
+        assert len(kept) == 40 - len(reasons)
+        rows = kept.removed.time_ns // NS_PER_S
+        assert dict(zip(rows, kept.removed.reason, strict=True)) == reasons
 
 
 READINGS_PA = arrays(

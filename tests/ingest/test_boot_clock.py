@@ -200,6 +200,15 @@ def test_stray_stamps_are_in_no_fit():
     assert fit.largest_ns == 0
 
 
+def test_repeated_times_of_a_slow_receiver_are_in_no_fit():
+    """Each second row is 0.2 s late: the median of all would be 0.1 s off."""
+    vehicle = Vehicle((10.0, 0.0, 40.0))
+    readings = vehicle.readings()
+    readings.utc_ns[1::2] = readings.utc_ns[::2]
+    clock, _ = vehicle.fit(readings)
+    assert vehicle.largest_error_s(clock) == 0.0
+
+
 def test_blocks_of_stamps_are_one_line():
     vehicle = Vehicle(
         (10.0, 0.0, 40.0),

@@ -148,7 +148,9 @@ def test_the_undulation_and_heights_above_the_ellipsoid(writer, opened, options,
         undulation_m = 0.0 if k == 1 else -47.5
         writer.fix(time_us, 1000 + 200 * k, week=WEEK)
         writer.row("GPA", time_us, 0, 0.5, undulation_m, logged_m)
+        writer.row("ATT", time_us, 0, 0, 0)
     log = opened(writer.data)
+    assert len(log.channel("ATT")) == 20  # what has no height is left as it is
     channel = log.channel("GPS[0]")
     for name, heights in columns.items():
         assert_array_equal(channel[name][:2], heights)

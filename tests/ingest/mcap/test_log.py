@@ -122,6 +122,11 @@ def test_known_flight(opened, compression):
     assert not log.ledger.has_losses
 
 
+def test_the_pose_of_a_real_flight_is_an_attitude(real_log):
+    log = open_log(real_log("cubs2_cub_stabilize.mcap"))
+    assert log.channel("/cub1/pose").roles == ("attitude",)
+
+
 def test_a_chunk_that_fails_its_checksum_is_left_out(opened):
     data = bytearray(flight(compression=CompressionType.NONE).data)
     data[data.index(b"nothing of ours", 20_000)] ^= 1
@@ -464,6 +469,8 @@ def test_a_schema_that_cannot_be_parsed_costs_its_topic(opened):
         CDR + b"abc",
     )
     writer.write(temperatures(writer), START, fifteen_degrees())
+    mine = writer.channel("/mine", "cdr", "my/msg/Bar", "wstring w")  # a table alone
+    writer.write(mine, START, bytes(12))
     log = opened(writer.data)
     entry = entry_in(log, "LOG-SCHEMA")
     assert entry.kind == "loss"
@@ -472,6 +479,9 @@ def test_a_schema_that_cannot_be_parsed_costs_its_topic(opened):
     with refused("LOG-NO-TABLE") as caught:
         log.message("/odd")
     assert "the schema of sensor_msgs/FluidPressure" in str(caught.value)
+    with refused("LOG-NO-TABLE") as caught:
+        log.message("/mine")
+    assert "w is a wstring" in str(caught.value)
 
 
 def test_ros_1_is_counted_and_not_read(opened):

@@ -106,6 +106,17 @@ def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(opened):
     assert table["boot"][0] == 1
 
 
+def test_a_reboot_whose_clock_is_ahead_of_the_last_is_one(opened):
+    recording = Recording()
+    recording.flight(rows=150, boot_s=10)
+    recording.flight(rows=150, boot_s=60, utc_s=3600)
+    log = opened(recording.data)
+    assert log.boots == 2
+    run_s = np.arange(150) / 5
+    assert_array_equal(seconds(log), [*run_s, *(run_s + 3600)])
+    assert entry_in(log, "TIME-REBOOT").count == 1
+
+
 @pytest.mark.parametrize("row", [0, 1, 3, 199])
 def test_a_stray_stamp_of_the_receiver_moves_nothing_else(opened, row):
     recording = Recording()
