@@ -19,20 +19,6 @@ LOGS = ROOT.parent / "shared" / "logs"
 SIZE = 110_000_000
 SPARE = 128_000_000  # [bytes] beyond the columns
 
-PEAK = """
-import json, sys
-from unbend.ingest import open_log
-def status(key):
-    lines = dict(line.split(":", 1) for line in open("/proc/self/status"))
-    return int(lines[key].split()[0]) * 1024
-open_log(sys.argv[1])  # imports are not the log's memory
-before = status("VmRSS")
-log = open_log(sys.argv[2])
-columns = sum(c.time_ns.nbytes + c.boot.nbytes + sum(x.nbytes for x in c.columns.values())
-              for c in log.channels)
-print(json.dumps({"more": status("VmHWM") - before, "columns": columns}))
-"""
-
 # All anonymous memory of the process, imports included, every 10 ms.
 PRIVATE = """
 import json, sys, threading, time
@@ -140,16 +126,21 @@ def test_mcap_of_ros_2(ratios, bag):
 @pytest.mark.parametrize("kind", ["flash", "telemetry", "bag"])
 def test_memory_is_the_columns_and_a_little(kind: str, request: pytest.FixtureRequest):
     path: Path = request.getfixturevalue(kind)
-    memory = measured(PEAK, path)
+    memory = ended_with("benchmarks/log_memory.py", "measure", sample_beside(path), path)
     print(f"{path.name}: {memory['more'] / 1e6:.0f} MB for {memory['columns'] / 1e6:.0f} MB")
     assert memory["more"] < memory["columns"] + SPARE
 
 
-def measured(program: str, log: Path) -> dict[str, float]:
-    """What a program prints of a log; it opens a small one of the same format before."""
-    sample = ROOT / "sample_logs" / f"flight{log.suffix}"
-    command = [sys.executable, "-c", program, str(sample), str(log)]
-    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+def sample_beside(log: Path) -> Path:
+    """A small log of the same format."""
+    return ROOT / "sample_logs" / f"flight{log.suffix}"
+
+
+def ended_with(*arguments: object) -> dict[str, float]:
+    """What a Python program prints of a log, whose imports do not count by a small log."""
+    words = [str(argument) for argument in arguments]
+    command = [sys.executable, *words]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
     return json.loads(ended.stdout)
 
 
@@ -164,7 +155,7 @@ def measured(program: str, log: Path) -> dict[str, float]:
 def test_two_gigabytes_take_one_of_memory(folder: Path, suffix: str, grower: ModuleType, name: str):
     path = folder / f"two{suffix}"
     grower.grow(real(name), path, 2_000_000_000)
-    memory = measured(PRIVATE, path)
+    memory = ended_with("-c", PRIVATE, sample_beside(path), path)
     path.unlink()
     print(
         f"{path.name}: {memory['private'] / 1e6:.0f} MB of private memory for "

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from tests.flight.made_channels import rotation_of
+from tests.logs import REAL
+from unbend.flight.channels import Channel
+from unbend.flight.evidence.log_accuracy import with_accuracy
 from unbend.flight.exposures import Events
+from unbend.flight.heights import height_system
+from unbend.flight.mount import Mount
+from unbend.flight.station_builder import build_stations
 from unbend.flight.stations import Stations
 from unbend.ingest import Log, open_log
+from unbend.simulate import optics
 
-LOGS = Path(__file__).parents[3] / "shared" / "logs"
-FLIGHTS = [path.name.removesuffix("_truth.csv") for path in sorted(LOGS.glob("*_truth.csv"))]
+FLIGHTS = [path.name.removesuffix("_truth.csv") for path in sorted(REAL.glob("*_truth.csv"))]
 """The flights that are at hand."""
 
-NED_FROM_ENU = Rotation.from_matrix(
-    [
-        [0.0, 1.0, 0.0],
-        [1.0, 0.0, 0.0],
-        [0.0, 0.0, -1.0],
-    ]
-)
+NED_FROM_ENU = Rotation.from_matrix(optics.NED_FROM_ENU)
 Columns = dict[str, np.ndarray]
 
 
@@ -46,8 +46,8 @@ class Flight:
 
 def flight(name: str, kind: str = "BIN") -> Flight:
     """The log of a kind, BIN or tlog, of a flight."""
-    log = open_log(LOGS / f"{name}.{kind}")
-    rows = pd.read_csv(LOGS / f"{name}_truth.csv")
+    log = open_log(REAL / f"{name}.{kind}")
+    rows = pd.read_csv(REAL / f"{name}_truth.csv")
     events = rows[rows["row"] == "CAM"]
     events = events.set_index(["I", "Img"], drop=False)
     parts = []
@@ -66,6 +66,25 @@ def unnamed_events(time_ns: np.ndarray, sigma_s: float = 0.0) -> Events:
     """Exposures at these times, of no image."""
     images = np.full(time_ns.size, "", object)
     return Events("cam", images, time_ns, sigma_s)
+
+
+def stations_by(
+    roles: Mapping[str, Channel],
+    channels: Iterable[Channel],
+    events: Events,
+    max_gap_s: float,
+) -> Stations:
+    """The stations of events by these channels in their roles, with what the log says of errors."""
+    heights, _ = height_system(roles, None)
+    accurate, accuracy = with_accuracy(roles, channels)
+    return build_stations(
+        events,
+        accurate,
+        Mount(),
+        heights,
+        max_gap_s,
+        accuracy=accuracy,
+    )
 
 
 def errors(stations: Stations, truth: pd.DataFrame) -> Columns:

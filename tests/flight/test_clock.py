@@ -5,6 +5,7 @@ from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies
 
 from tests.flight.made_channels import counted, instants
 from tests.helpers import NS_PER_S
@@ -176,6 +177,16 @@ def test_a_clock_set_back_by_a_day_costs_nothing():
     rows, stretch = rows_in_time_order(seconds * NS_PER_S)
     assert rows.tolist() == [*range(50, 70), *range(50)]
     assert stretch.tolist() == [1] * 20 + [0] * 50
+
+
+@given(strategies.lists(strategies.integers(0, 60), max_size=80))
+def test_rows_in_time_order_increase_strictly(times):
+    """For whatever a log contains."""
+    time_ns = np.array(times, np.int64)
+    rows, stretch = rows_in_time_order(time_ns)
+    assert rows.shape == stretch.shape
+    assert (np.diff(time_ns[rows]) > 0).all()
+    assert bool(times) == bool(rows.size)
 
 
 def test_new_readings_are_no_repeats_of_a_slow_receiver():

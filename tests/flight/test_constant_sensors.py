@@ -57,15 +57,6 @@ def stuck(roles, role, **values):
 
 
 @pytest.mark.parametrize(
-    "roles",
-    [flight(), {}],
-    ids=["a flight", "an empty log"],
-)
-def test_a_sound_flight_has_none(roles):
-    assert constant_sensors(roles) == ()
-
-
-@pytest.mark.parametrize(
     ("constant", "says"),
     [
         (attitude(roll=0.0), "roll = 0.00°"),
@@ -138,11 +129,19 @@ FEW_PA = np.where(ROW < FEWEST_SAMPLES - 1, 9e4, np.nan)
 @pytest.mark.parametrize(
     "roles",
     [
+        flight(),
+        {},
         flight() | {"attitude": GIMBAL},
         PARKED | {"attitude": attitude(0.0, 0.0, 0.0)},
         flight() | {"pressure": channel("BARO", SECONDS, pressure_pa=FEW_PA)},
     ],
-    ids=["a gimbal holds an angle", "a parked aircraft is still", "few samples may be equal"],
+    ids=[
+        "a sound flight",
+        "an empty log",
+        "a gimbal holds an angle",
+        "a parked aircraft is still",
+        "few samples may be equal",
+    ],
 )
 def test_what_may_rightly_be_constant(roles):
     assert constant_sensors(roles) == ()

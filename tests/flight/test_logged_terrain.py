@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from pymavlink import mavutil
 
 from tests.flight.made_channels import instants
 from tests.helpers import channel
@@ -41,25 +40,19 @@ def test_only_heights_of_a_healthy_grid_count(columns, expected):
     np.testing.assert_array_equal(terrain_m, expected)
 
 
-DATAFLASH = ("TERR", "TerrH")
-TELEMETRY = ("TERRAIN_REPORT", "terrain_height")
+COLUMNS = {"TERR": "TerrH", "TERRAIN_REPORT": "terrain_height"}
 
 
 @pytest.mark.parametrize(
     "name",
     at_hand("flight.bin", "beastayyg_sample.bin", "sitl_survey.BIN", "sitl_survey.tlog"),
 )
-def test_a_log_has_its_terrain_as_pymavlink_reads_it(name):
-    message, column = TELEMETRY if name.endswith("tlog") else DATAFLASH
-    reader = mavutil.mavlink_connection(str(LOGS[name]))
-    heights_m = []
-    while row := reader.recv_match(type=message):
-        heights_m.append(getattr(row, column))
-    reader.close()
-
-    channels = [logged for logged in open_log(LOGS[name]).channels if logged.name == message]
-
-    assert len(channels) == bool(heights_m)
-    for terrain in channels:
-        assert not terrain.roles
-        np.testing.assert_array_equal(terrain["h_terrain_m"], heights_m)
+def test_a_log_has_its_terrain_as_its_messages_do(name):
+    """Tables of messages are compared with pymavlink in the tests of ingest."""
+    log = open_log(LOGS[name])
+    terrain = [logged for logged in log.channels if logged.name in COLUMNS]
+    assert len(terrain) == len(COLUMNS.keys() & log.messages.keys())
+    for logged in terrain:
+        assert not logged.roles
+        heights_m = log.message(logged.name)[COLUMNS[logged.name]]
+        np.testing.assert_array_equal(logged["h_terrain_m"], heights_m)

@@ -16,14 +16,12 @@ from tests.flight.simulator_logs import (
     errors,
     flight,
     sigmas,
+    stations_by,
     unnamed_events,
 )
 from tests.helpers import NS_PER_S
 from unbend.flight.clock import utc_of_gps
-from unbend.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD, with_accuracy
-from unbend.flight.heights import height_system
-from unbend.flight.mount import Mount
-from unbend.flight.station_builder import build_stations
+from unbend.flight.evidence.log_accuracy import LEAST_TILT_RAD, LEAST_YAW_RAD
 
 pytestmark = pytest.mark.shared("logs")
 KINDS = ("BIN", "tlog")
@@ -43,18 +41,14 @@ def stations_of(flown, time_ns, every=1, sigma_s=0.0):
     """Stations at some times, by one in ``every`` of the logged attitudes."""
     channels = flown.log.channels
     roles = roles_of(channels)
-    heights, _ = height_system(roles, None)
     attitude = roles["attitude"]
     is_read = np.arange(len(attitude)) % every == 0
     roles["attitude"] = attitude.rows(is_read)
-    roles, accuracy = with_accuracy(roles, channels)
-    stations = build_stations(
-        unnamed_events(time_ns, sigma_s),
+    stations = stations_by(
         roles,
-        Mount(),
-        heights,
-        1.0,
-        accuracy=accuracy,
+        channels,
+        unnamed_events(time_ns, sigma_s),
+        max_gap_s=1.0,
     )
     assert stations.ok.all()
     return stations
@@ -267,7 +261,11 @@ def test_a_sigma_of_the_time_moves_along_the_track_and_the_turn(flights):
 
     added_m2 = uncertain.sigma_horizontal_m**2 - certain.sigma_horizontal_m**2
     along_m = 0.1 * speed_m_s(flown)
-    np.testing.assert_allclose(np.sqrt(2.0 * added_m2), along_m, rtol=0.05)
+    np.testing.assert_allclose(
+        np.sqrt(2.0 * added_m2),
+        along_m,
+        rtol=0.05,
+    )
     added_height_m2 = uncertain.sigma_height_m**2 - certain.sigma_height_m**2
     descent_m_s = np.abs(flown.truth["vd"])
     correlation = np.corrcoef(np.sqrt(added_height_m2), descent_m_s)

@@ -137,15 +137,6 @@ def test_a_receiver_that_is_set_late_is_no_boot_but_a_loss():
     assert codes(ledger, "loss") == ["TIME-FIT"]
 
 
-def test_rows_without_a_fix_do_not_count():
-    vehicle = Vehicle((10.0, 0.0, 40.0))
-    readings = vehicle.readings(fix=np.array([2] * 120 + [3] * 80))
-    readings.utc_ns[:120] -= 3600 * SECOND
-    clock, ledger = vehicle.fit(readings)
-    assert vehicle.largest_error_s(clock) == 0.0
-    assert codes(ledger, "loss") == []
-
-
 def test_the_receiver_with_the_most_rows_decides_and_the_other_is_a_loss():
     vehicle = Vehicle((10.0, 0.0, 40.0))
     a_day_early = vehicle.readings([7], late_s=-86_400.0)

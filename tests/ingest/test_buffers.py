@@ -20,7 +20,15 @@ from numpy.testing import assert_array_equal
 from tests.logs import LOGS
 from unbend.ingest import buffers as memory
 from unbend.ingest import open_log
-from unbend.ingest.buffers import REGION, SMALL, ColumnStore, allocate, copy_rows, release_pages
+from unbend.ingest.buffers import (
+    BLOCK,
+    REGION,
+    SMALL,
+    ColumnStore,
+    allocate,
+    copy_rows,
+    release_pages,
+)
 
 MIB = 1 << 20
 NUMBERS_OF_A_MIB = MIB // 8
@@ -303,13 +311,23 @@ def test_columns_of_objects_are_moved_as_objects(arena_in_files):
     assert held(arena_in_files) == (0, 0)
 
 
-def test_a_store_in_a_file_gives_back_what_it_took(arena):
-    rows = np.arange(8 * NUMBERS_OF_A_MIB)
+@pytest.mark.parametrize("size", [0, 1, BLOCK // 8, BLOCK // 8 + 1, 3 * BLOCK // 8])
+@pytest.mark.parametrize(
+    ("way", "is_emptied"), [("whole", True), ("drained", True), ("blocks", False)]
+)
+def test_what_is_stored_comes_back(arena, size, way, is_emptied):
+    rows = np.arange(size)
     store = ColumnStore("i8")
     for part in np.array_split(rows, 7):
         store.add(part)
-    assert held(arena)[1] >= 1
-    assert_array_equal(store.whole(), rows)
+    assert len(store) == size
+    if size > BLOCK // 4:
+        assert held(arena)[1] >= 1
+    parts = getattr(store, way)()
+    if way == "whole":
+        parts = [parts]
+    assert_array_equal(np.concatenate([rows[:0], *parts]), rows)
+    assert len(store) == (0 if is_emptied else size)
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".tlog", ".mcap"])

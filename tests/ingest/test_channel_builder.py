@@ -58,40 +58,31 @@ def test_a_repeated_exposure_is_a_loss_a_repeated_reading_is_none(spec, kind):
 
 
 def test_an_exposure_without_a_place_has_no_height_either():
-    channel, _ = built(
-        SHOT,
-        [1, 2, 3],
-        lat_rad=[0.8, 0.0, 0.8],
-        lon_rad=[0.1, 0.0, 0.0],
-        h_msl_m=[5.0, 0.0, 6.0],
-    )
-    assert_array_equal(channel["lat_rad"], [0.8, np.nan, 0.8])
-    assert_array_equal(
-        channel["lon_rad"],
-        [0.1, np.nan, 0.0],
-    )
-    assert_array_equal(
-        channel["h_msl_m"],
-        [5.0, np.nan, 6.0],
-    )
-
-
-def test_the_largest_integer_is_no_place_of_an_exposure():
+    """Zeros and the largest integer mean that the place is unknown."""
     largest_rad = np.radians(214.7483647)
+    logged = {
+        "lat_rad": [0.8, 0.0, 0.8, largest_rad, -np.pi / 2.0],
+        "lon_rad": [0.1, 0.0, 0.0, largest_rad, np.pi],
+        "h_msl_m": [5.0, 0.0, 6.0, 2_147_483.647, 7.0],
+    }
     channel, _ = built(
         SHOT,
-        [1, 2, 3],
-        lat_rad=[0.8, largest_rad, -np.radians(90.0)],
-        lon_rad=[0.1, largest_rad, np.pi],
-        h_msl_m=[5.0, 2_147_483.647, 6.0],
+        [1, 2, 3, 4, 5],
+        **logged,
     )
-    for name in ("lat_rad", "lon_rad", "h_msl_m"):
-        assert np.isnan(channel[name]).tolist() == [False, True, False]
+    for name, values in logged.items():
+        expected = np.array(values)
+        expected[[1, 3]] = np.nan
+        assert_array_equal(channel[name], expected)
 
 
 def test_exposures_are_numbered_after_repeats_and_before_rows_out_of_order_are_dropped():
     times = [1, 2, 2, 3, 4, 5, 6, 2.5, 7, 8]
-    channel, ledger = built(SHOT, times, h_msl_m=list(range(10)))
+    channel, ledger = built(
+        SHOT,
+        times,
+        h_msl_m=list(range(10)),
+    )
     assert channel["h_msl_m"].tolist() == [0, 1, 3, 4, 5, 6, 8, 9]
     assert channel["event_index"].tolist() == [0, 1, 2, 3, 4, 5, 7, 8]
     assert {e.code: e.count for e in ledger} == {"TIME-REPEAT": 1, "TIME-BACKWARD": 1}

@@ -60,17 +60,6 @@ def test_texts_and_parameters_of_dataflash_are_what_is_logged(name):
     assert len(parameters) > (800 if name not in ("flight.bin", "glitch_cleared.bin") else 0)
 
 
-@pytest.mark.parametrize(
-    "name", at_hand("glitch_cleared.bin", "pymavlink_test.BIN", "beastayyg_sample.bin")
-)
-def test_time_runs_as_the_microseconds_since_boot(name):
-    log = open_log(LOGS[name])
-    for channel in log.channels:
-        if channel.source.message in ("POS", "GPS", "BARO"):
-            steps_us = np.diff(log.message(channel.name)["TimeUS"].astype(np.int64))
-            assert_array_equal(np.diff(channel.time_ns), steps_us * 1000)
-
-
 @pytest.mark.parametrize("name", TELEMETRY_LOGS)
 def test_texts_and_parameters_of_telemetry_are_what_was_sent(name):
     log = open_log(LOGS[name])

@@ -31,17 +31,14 @@ def test_huge_pressures_have_the_largest_number(tmp_path: Path):
     log.to_json_dict()  # sums of them do not overflow
 
 
-def test_what_is_not_huge_stays():
-    column = np.array([np.nan, np.inf, -LARGEST_NUMBER, 3.0])
-    np.testing.assert_array_equal(limited(column), column)
+def test_what_is_huge_alone_has_the_largest_number_and_its_sign():
+    usual = np.array([np.nan, np.inf, -LARGEST_NUMBER, 3.0])
+    np.testing.assert_array_equal(limited(usual), usual)
+    mixed = np.append(usual, [1e13, -1e13])
+    expected = np.append(usual, [LARGEST_NUMBER, -LARGEST_NUMBER])
+    np.testing.assert_array_equal(limited(mixed), expected)
     empty = np.empty(0)
     assert limited(empty) is empty
-
-
-def test_what_is_huge_has_the_largest_number_and_its_sign():
-    column = np.array([1e13, -1e13, np.nan])
-    expected = [LARGEST_NUMBER, -LARGEST_NUMBER, np.nan]
-    np.testing.assert_array_equal(limited(column), expected)
 
 
 def test_exposures_centuries_apart_are_stray(tmp_path: Path):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-LOGS = Path(__file__).resolve().parents[2] / "sample_logs"
+from tests.logs import LOGS
 
 # Removed before anything of the package is imported; what Windows lacks of the modules in use.
 WITHOUT_POSIX = """
@@ -49,7 +49,7 @@ def read(code: str, log: Path, folder: Path) -> list[str]:
 
 @pytest.mark.parametrize("suffix", [".bin", ".tlog", ".mcap"])
 def test_a_log_is_the_same_without_functions_of_posix(tmp_path, suffix):
-    log = LOGS / f"flight{suffix}"
+    log = LOGS[f"flight{suffix}"]
     _, usual = read("import sys" + READ.format(private=1 << 30), log, tmp_path)
     in_files, digest = read(WITHOUT_POSIX + READ.format(private=0), log, tmp_path)
     assert digest == usual

@@ -37,12 +37,6 @@ def test_only_images_that_failed_are_dropped():
     assert [(e.kind, e.code, e.count) for e in ledger] == [("warning", "EVENT-FAILED", 1)]
 
 
-def test_an_index_that_is_never_set_is_dropped_with_a_note():
-    ledger = Ledger()
-    assert "event_index" not in captured_rows(shots([1, 1], [0, 0]), ledger).columns
-    assert [(e.kind, e.code) for e in ledger] == [("note", "EVENT-NO-INDEX")]
-
-
 def test_the_index_of_the_first_image_is_0():
     ledger = Ledger()
     assert captured_rows(shots([1], [0]), ledger).columns["event_index"].tolist() == [0]

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 from pymavlink import DFReader, mavutil
 from scipy.spatial.transform import Rotation
 
+from tests.golden.held_block import brown
 from tests.helpers import refused
 from unbend.simulate import SimulationOptions, simulate
 from unbend.simulate.sensors import LOG_BEGINS_BOOT_US, LOG_BEGINS_UNIX_NS
@@ -335,12 +336,9 @@ def test_true_pixels_are_the_projected_chord(small, chords, camera):
     ray = attitude.apply(every_chord[is_of_camera])
     x = ray[:, 0] / ray[:, 2]
     y = ray[:, 1] / ray[:, 2]
-    r2 = x**2 + y**2
     settings = yaml.safe_load(small.missions["bin"].read_text())["cameras"][camera]
     lens = settings["distortion"]
-    radial = 1 + lens["k1"] * r2 + lens["k2"] * r2**2 + lens["k3"] * r2**3
-    x_distorted = x * radial + 2 * lens["p1"] * x * y + lens["p2"] * (r2 + 2 * x**2)
-    y_distorted = y * radial + lens["p1"] * (r2 + 2 * y**2) + 2 * lens["p2"] * x * y
+    x_distorted, y_distorted = brown(x, y, **lens)
     x_px = settings["fx_px"] * x_distorted + settings["cx_px"]
     y_px = settings["fy_px"] * y_distorted + settings["cy_px"]
     assert_allclose(

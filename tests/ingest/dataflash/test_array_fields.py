@@ -5,57 +5,8 @@ import pytest
 import yaml
 from numpy.testing import assert_array_equal
 
-from tests.ingest.written_logs import DataFlashWriter
-from unbend.ingest import Log
-
-ROWS = 300
-WORDS = np.arange(
-    1,
-    33,
-    dtype="<i2",
-)
-NOT_NUMBERS = {
-    "a": WORDS.tobytes(),
-    "N": b"wet",
-}
-FORMS = {
-    "GPS": ("QBBIHLLe", "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt"),
-    "BARO": ("QBfc", "TimeUS,I,Press,Temp"),
-}
-
-
-def flight(message: str = "", field: str = "", letter: str = "") -> DataFlashWriter:
-    """A log with a receiver and a barometer; a field of one of them has another letter."""
-    writer = DataFlashWriter()
-    changed = FORMS[message][1].split(",").index(field) if message else -1
-    for kind, (name, (letters, columns)) in enumerate(FORMS.items(), 20):
-        if name == message:
-            letters = letters[:changed] + letter + letters[changed + 1 :]
-        writer.define(
-            kind,
-            name,
-            letters,
-            columns,
-        )
-    for k in range(ROWS):
-        time_us = 1_000_000 + k * 100_000
-        rows: dict[str, list[float | bytes]] = {
-            "GPS": [time_us, 0, 3, 1000 + 100 * k, 2300, 47.0, 8.0, 600.0 + 0.5 * k],
-            "BARO": [time_us, 0, 95_000.0 - k, 20.0],
-        }
-        if message:
-            rows[message][changed] = NOT_NUMBERS[letter]
-        for name, values in rows.items():
-            writer.row(name, *values)
-    return writer
-
-
-def losses(log: Log) -> list[tuple[str, str, int, str]]:
-    return [(e.code, e.where, e.count, e.what) for e in log.ledger if e.kind == "loss"]
-
-
-def test_all_is_well_without_it(opened):
-    assert losses(opened(flight().data)) == []
+from tests.helpers import with_code
+from tests.ingest.dataflash.air_flight import NOT_NUMBERS, ROWS, WORDS, flight, losses
 
 
 @pytest.mark.parametrize(
@@ -69,11 +20,11 @@ def test_all_is_well_without_it(opened):
 def test_a_field_without_numbers_is_lost_and_told(opened, field, column, letter):
     whole = opened(flight().data)
     log = opened(flight("BARO", field, letter).data)
-    lost = losses(log)
-    of_field = [entry[:3] for entry in lost if entry[3].startswith(field)]
-    assert of_field == [("LOG-FIELDS", "BARO", ROWS)]
-    assert {code for code, *_ in lost} == {"LOG-FIELDS"}
-    assert not [entry for entry in lost if column in entry[3]], "one cause is told twice"
+    of_field = [entry for entry in log.ledger if entry.what.startswith(field)]
+    assert [(entry.where, entry.count) for entry in of_field] == [("BARO", ROWS)]
+    assert {code for code, *_ in losses(log)} == {"LOG-FIELDS"}
+    told = [entry.what for entry in with_code(log.ledger, "LOG-FIELDS")]
+    assert not [what for what in told if column in what], "one cause is told twice"
     # The rest of the log, and of the message, is read as it was.
     cells = log.message("BARO")[field]
     assert cells.tolist() == ([WORDS.tolist()] if letter == "a" else ["wet"]) * ROWS
@@ -110,7 +61,7 @@ IDENTITIES = yaml.safe_load("""
 @pytest.mark.parametrize(("message", "field", "letter"), IDENTITIES)
 def test_what_places_a_row_and_is_no_number(opened, message, field, letter):
     log = opened(flight(message, field, letter).data)
-    assert ("LOG-FIELDS", message, ROWS) in {entry[:3] for entry in losses(log)}
+    assert ("LOG-FIELDS", message, ROWS) in losses(log)
     whole_channel = {"BARO": "GPS[0]", "GPS": "BARO[0]"}[message]
     assert len(log.channel(whole_channel)) == ROWS
 

@@ -59,20 +59,14 @@ def test_a_gimbal_a_probe_and_values_of_scripts_play_a_role_only_when_named(writ
 
 
 @pytest.mark.parametrize(
-    "rollovers",
-    [0, 1, 2],
+    ("rows", "first_ms", "week"),
+    [(1, 9_000, 3), (30, 700_000_000, 2324)],
+    ids=["one wild week", "milliseconds of no week in more than half of all rows"],
 )
-def test_a_receiver_that_counts_weeks_modulo_1024(rollovers, writer, opened):
-    fixes(writer, 2324 - 1024 * rollovers)  # July 2024
-    log = opened(writer.data)
-    assert log.channel("GPS[0]").time_ns[0] == utc_of_gps(2324, 1.0)
-    counts = [entry.count for entry in with_code(log.ledger, "TIME-WEEK-ROLLOVER")]
-    assert counts == ([20] if rollovers else [])
-
-
-def test_one_wild_week_is_no_rollover(writer, opened):
+def test_gps_time_that_cannot_be_is_not_used(writer, opened, rows, first_ms, week):
     fixes(writer, 2324)
-    writer.fix(9_000_000, 9_000, week=3)
+    for k in range(rows):
+        writer.fix(9_000_000 + k * 200_000, first_ms + k, week=week)
     log = opened(writer.data)
     assert log.channel("GPS[0]").time_ns[0] == utc_of_gps(2324, 1.0)
     assert not with_code(log.ledger, "TIME-WEEK-ROLLOVER")
@@ -84,25 +78,17 @@ def test_one_wild_week_is_no_rollover(writer, opened):
         ("flight.bin", 1590, 1590),  # June 2010 is possible, and nothing speaks against it
         ("2010-06-28 10-12-00.bin", 1590, 1590),
         ("flight.bin", 1400, 2424),  # November 2006 is not: 2026 is the only possible date
+        ("flight.bin", 1300, 2324),
+        ("flight.bin", 276, 2324),
         ("2024-07-22.bin", 276, 2324),
     ],
 )
-def test_a_date_is_moved_only_on_evidence(name, week, full, writer, tmp_path):
+def test_weeks_modulo_1024_are_moved_only_on_evidence(name, week, full, writer, tmp_path):
     fixes(writer, week)
     log = written_logs.opened(tmp_path / name, writer.data)
     assert log.channel("GPS[0]").time_ns[0] == utc_of_gps(full, 1.0)
-    assert len(with_code(log.ledger, "TIME-WEEK-ROLLOVER")) == (week != full)
-
-
-def test_gps_time_that_cannot_be_is_not_used(writer, opened):
-    fixes(writer, 2324)
-    for k in range(30):  # more than half of all rows
-        writer.fix(
-            9_000_000 + k * 200_000,
-            700_000_000 + k,
-            week=2324,
-        )
-    assert opened(writer.data).channel("GPS[0]").time_ns[0] == utc_of_gps(2324, 1.0)
+    counts = [entry.count for entry in with_code(log.ledger, "TIME-WEEK-ROLLOVER")]
+    assert counts == [20] * (week != full)
 
 
 def test_silence_is_told(writer, opened):
@@ -181,8 +167,9 @@ def test_messages_as_columns_and_as_a_frame(opened, writer):
     with refused("LOG-NO-TYPE") as caught:
         log.message("GPSS")
     assert "GPSS" in str(caught.value)
-    with refused("LOG-NO-TABLE"):  # I is a term of the controller here
-        log.message("PIDR", "0")
+    for message, instance in (("GPS", "2"), ("PIDR", "0")):  # there I is a term of the controller
+        with refused("LOG-NO-TABLE"):
+            log.message(message, instance)
 
 
 def test_the_format_letters_are_those_of_the_library():

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import with_code
-from tests.ingest.written_logs import DataFlashWriter
+from tests.ingest.written_logs import DataFlashWriter, loss_codes
 from unbend.flight.clock import utc_of_gps
 from unbend.ingest import Log
 
@@ -18,10 +18,6 @@ def writer() -> DataFlashWriter:
     made.define_receiver()
     made.define(50, "ATT", "QccC", "TimeUS,Roll,Pitch,Yaw")
     return made
-
-
-def codes(log: Log, kind: str) -> list[str]:
-    return [entry.code for entry in log.ledger if entry.kind == kind]
 
 
 def seconds(log: Log, name: str = "ATT") -> np.ndarray:
@@ -45,7 +41,7 @@ def test_the_first_boot_of_two_with_the_second_receiver_alone(writer, opened):
         writer.row("ATT", time_us + 50, 0, 0, 0)
     log = opened(writer.data)
     assert seconds(log)[0] == pytest.approx(1.0, abs=1e-4)
-    assert "TIME-SOURCES" in codes(log, "loss")
+    assert "TIME-SOURCES" in loss_codes(log)
 
 
 def test_time_without_a_fix_is_not_used(writer, opened):
@@ -64,7 +60,7 @@ def test_time_without_a_fix_is_not_used(writer, opened):
         writer.row("ATT", time_us + 50, 0, 0, 0)
     log = opened(writer.data)
     assert seconds(log)[0] == pytest.approx(1.0, abs=1e-4)
-    assert codes(log, "loss") == []
+    assert not loss_codes(log)
 
 
 def test_accuracy_goes_to_its_boot_and_its_instance(writer, opened):
@@ -125,42 +121,42 @@ def test_instances_stay_apart_where_a_definition_gains_them(writer, opened):
     assert len(log.message("BARO", "1")["Press"]) == 40
 
 
+SEA_LEVEL = {"h_msl_m": [600.0, 600.0]}
+
+
 @pytest.mark.parametrize(
-    ("options", "columns"),
+    ("options", "logged_m", "columns"),
     [
-        (16.0, {"h_msl_m": [552.5, np.nan], "h_ellipsoid_m": [600.0, 600.0]}),
-        (64.0, {"h_msl_m": [600.0, 600.0], "h_ellipsoid_m": [647.5, np.nan]}),
-        (0.0, {"h_msl_m": [600.0, 600.0], "h_ellipsoid_m": [647.5, np.nan]}),
+        (16.0, 0.0, {"h_msl_m": [552.5, np.nan], "h_ellipsoid_m": [600.0, 600.0]}),
+        (64.0, 0.0, SEA_LEVEL | {"h_ellipsoid_m": [647.5, np.nan]}),
+        (0.0, 0.0, SEA_LEVEL | {"h_ellipsoid_m": [647.5, np.nan]}),
+        (0.0, 599.0, SEA_LEVEL | {"h_ellipsoid_m": [599.0, 599.0]}),
     ],
+    ids=["above the ellipsoid", "another option", "above sea level", "both are logged"],
 )
-def test_the_undulation_and_heights_above_the_ellipsoid(writer, opened, options, columns):
+def test_the_undulation_and_heights_above_the_ellipsoid(writer, opened, options, logged_m, columns):
     """Until 4.6 the undulation is logged as sea level minus ellipsoid, 0 where it is not known.
 
     Alt is either: bit 4 of GPS_DRV_OPTIONS (AP_GPS.h) makes it a height above the ellipsoid.
     """
     writer.define(21, "PARM", "QNf", "TimeUS,Name,Value")
-    writer.define(62, "GPA", "QBCf", "TimeUS,I,HAcc,Und")
+    above_ellipsoid = "AEl" if logged_m else "Unused"
+    writer.define(62, "GPA", "QBCfe", f"TimeUS,I,HAcc,Und,{above_ellipsoid}")
     writer.row("PARM", 4_900_000, b"GPS_DRV_OPTIONS", options)
     for k in range(20):
-        undulation = 0.0 if k == 1 else -47.5
-        writer.fix(
-            5_000_000 + 200_000 * k,
-            1000 + 200 * k,
-            week=WEEK,
-        )
-        writer.row(
-            "GPA",
-            5_000_000 + 200_000 * k,
-            0,
-            0.5,
-            undulation,
-        )
+        time_us = 5_000_000 + 200_000 * k
+        undulation_m = 0.0 if k == 1 else -47.5
+        writer.fix(time_us, 1000 + 200 * k, week=WEEK)
+        writer.row("GPA", time_us, 0, 0.5, undulation_m, logged_m)
+        writer.row("ATT", time_us, 0, 0, 0)
     log = opened(writer.data)
+    assert len(log.channel("ATT")) == 20  # what has no height is left as it is
     channel = log.channel("GPS[0]")
     for name, heights in columns.items():
         assert_array_equal(channel[name][:2], heights)
     assert "undulation_m" not in channel.columns
-    assert len(with_code(log.ledger, "HEIGHT-ELLIPSOID")) == (options == 16.0)
+    told = [(entry.kind, entry.where) for entry in with_code(log.ledger, "HEIGHT-ELLIPSOID")]
+    assert told == [("note", "PARM")] * (options == 16.0)
 
 
 def test_impossible_values_are_flagged_when_a_log_is_opened(writer, opened):

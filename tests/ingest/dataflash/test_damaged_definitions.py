@@ -4,47 +4,14 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.ingest.dataflash.air_flight import BARO, ROWS, flight, losses
 from tests.ingest.dataflash.walk import walk
-from tests.ingest.written_logs import DataFlashWriter, entry_in
+from tests.ingest.written_logs import entry_in
 from unbend.ingest import Log
 from unbend.ingest.buffers import FileView
 
-BARO = 23
-ROWS = 400
 WEEK_NS = 604_800 * 10**9
 AFTER_US = 1_000_000 + ROWS * 100_000  # behind the last row
-
-
-def flight() -> DataFlashWriter:
-    """Forty seconds of air data, a receiver and a position."""
-    writer = DataFlashWriter()
-    writer.define(20, "GPS", "QBBIHLLe", "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt")
-    writer.define(21, "GPA", "QBe", "TimeUS,I,AEl")
-    writer.define(BARO, "BARO", "QBfc", "TimeUS,I,Press,Temp")
-    writer.define(24, "HYGR", "QBff", "TimeUS,Id,Humidity,Temp")
-    writer.define(25, "POS", "QLLe", "TimeUS,Lat,Lng,Alt")
-    for k in range(ROWS):
-        time_us = 1_000_000 + k * 100_000
-        writer.row(
-            "GPS",
-            time_us,
-            0,
-            3,
-            1000 + 100 * k,
-            2300,
-            47.0,
-            8.0,
-            600.0,
-        )
-        writer.row("GPA", time_us, 0, 648.0)
-        writer.row("BARO", time_us, 0, 95_000.0 - k, 20.0)
-        writer.row("HYGR", time_us, 0, 55.0, 9.0)
-        writer.row("POS", time_us, 47.0, 8.0, 600.0)
-    return writer
-
-
-def losses(log: Log) -> list[tuple[str, str, int]]:
-    return [(entry.code, entry.where, entry.count) for entry in log.ledger if entry.kind == "loss"]
 
 
 def names_of(log: Log, message: str) -> list[str]:

@@ -104,28 +104,23 @@ def barometer(second: int, dropped: int) -> str:
     return f"BARO, {time_us}, 0, 95000.0, 20.0\nDSF, {time_us}, {dropped}\n"
 
 
-def test_what_the_logger_dropped_is_a_loss_with_its_own_count(opened):
-    first = [barometer(second, 7 * second) for second in range(5, 10)]
-    second = [barometer(second, 2) for second in range(1, 4)]
-    log = opened(DROPS + "".join(first + second))
-    dropped = entry_in(log, "LOG-DROPOUT")
-    assert dropped.kind == "loss"
-    assert dropped.count == log.lost_messages == 65
-    assert log.boots == 2
+TWO_BOOTS = [(5, 35), (6, 42), (7, 49), (8, 56), (9, 63), (1, 2), (2, 2), (3, 2)]
+STARTS_AGAIN = list(enumerate((5, 50, 50, 0, 7, 4_294_967_290, 9)))  # one of them is damaged
+NOTHING_DROPPED = [(second, 0) for second in range(5)]
 
 
-def test_a_logger_that_starts_again_within_a_boot_counts_from_0(opened):
-    counts = (5, 50, 50, 0, 7, 4_294_967_290, 9)  # one of them is damaged
-    rows = [barometer(second, count) for second, count in enumerate(counts)]
-    log = opened(DROPS + "".join(rows))
-    assert log.boots == 1
-    assert log.lost_messages == 59
-
-
-def test_a_logger_that_dropped_nothing_lost_nothing(opened):
-    log = opened(DROPS + "".join(barometer(second, 0) for second in range(5)))
-    assert not log.ledger.has_losses
-    assert log.lost_messages == 0
+@pytest.mark.parametrize(
+    ("counts", "boots", "lost"),
+    [(TWO_BOOTS, 2, 65), (STARTS_AGAIN, 1, 59), (NOTHING_DROPPED, 1, 0)],
+    ids=["two boots", "the logger starts again within a boot", "nothing dropped"],
+)
+def test_what_the_logger_dropped_is_a_loss_with_its_own_count(opened, counts, boots, lost):
+    log = opened(DROPS + "".join(barometer(*count) for count in counts))
+    assert log.boots == boots
+    assert log.lost_messages == lost
+    dropped = [(entry.kind, entry.count) for entry in with_code(log.ledger, "LOG-DROPOUT")]
+    assert dropped == [("loss", lost)] * bool(lost)
+    assert log.ledger.has_losses == bool(lost)
 
 
 def test_the_banner_of_the_firmware_is_no_damage(tmp_path):

@@ -174,13 +174,32 @@ def test_both_byte_orders(order):
     assert_array_equal(table["f[]"], k % 3)
 
 
+NESTED = "".join(f"===\nMSG: a/A{k}\na/A{k + 1}[4000] x\n" for k in range(12))
+
+
 @pytest.mark.parametrize(
-    "definition",
-    ["float64", "wstring x", "Nothing n", "a/B b", "!!", "P[99999] p\n===\nMSG: a/P\nint8 x"],
+    ("definition", "words"),
+    [
+        ("float64", "is not a field"),
+        ("wstring x", "x is a wstring"),
+        ("Nothing n", "definition of a/Nothing is missing"),
+        ("a/B b", "messages deep"),
+        ("!!", "is not a field"),
+        ("P[99999] p\n===\nMSG: a/P\nint8 x", "elements|fields"),
+        (f"a/A0[4000] x\nfloat64 y\n{NESTED}===\nMSG: a/A12\nfloat64 z\n", "4096"),
+        ("float64[3000000000] v", "elements"),
+        (f"float64[{'9' * 30}] v", "elements"),
+    ],
 )
-def test_definitions_that_make_no_sense(definition):
-    with pytest.raises(SchemaError):
+def test_definitions_that_make_no_sense(definition, words):
+    """Arrays that multiply, or are longer than any message, are refused before they are made."""
+    with pytest.raises(SchemaError, match=words):
         steps_of("a/msg/B", definition)
+
+
+def test_a_length_of_more_digits_than_python_reads_is_refused():
+    with pytest.raises(ValueError, match="digits"):
+        steps_of("a/msg/B", f"float64[{'9' * 5000}] v")
 
 
 def location_fix():

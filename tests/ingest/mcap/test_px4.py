@@ -17,6 +17,7 @@ KINDS = {
     "float64 longitude_deg\nfloat64 altitude_msl_m\nfloat64 altitude_ellipsoid_m\nuint8 fix_type",
     "VehicleAttitude": "uint64 timestamp\nfloat32[4] q",
     "SensorHygrometer": "uint64 timestamp\nfloat32 temperature\nfloat32 humidity",
+    "GimbalDeviceAttitudeStatus": "uint64 timestamp\nfloat32[4] q\nuint8 gimbal_device_id",
     "CameraCapture": "uint64 timestamp\nuint64 timestamp_utc\nuint32 seq\nint8 result",
 }
 PLACE = {"latitude_deg": 47.5, "longitude_deg": 8.25, "altitude_msl_m": 600.0}
@@ -111,8 +112,8 @@ def test_a_reboot_whose_clock_is_ahead_of_the_last_is_one(opened):
     recording.flight(rows=150, boot_s=60, utc_s=3600)
     log = opened(recording.data)
     assert log.boots == 2
-    expected_s = [*(np.arange(150) / 5), *(np.arange(150) / 5 + 3600)]
-    assert_array_equal(seconds(log), expected_s)
+    run_s = np.arange(150) / 5
+    assert_array_equal(seconds(log), [*run_s, *(run_s + 3600)])
     assert entry_in(log, "TIME-REBOOT").count == 1
 
 
@@ -228,16 +229,18 @@ def test_messages_that_come_late_are_no_boot_and_not_stray(opened, events):
     assert not loss_codes(log)
 
 
-def test_images_that_were_not_taken_are_no_exposures(opened):
+@pytest.mark.parametrize(
+    ("numbers", "endings"),
+    [((1, 1), [""]), ((1, 2), ["[1]", "[2]"])],
+    ids=["one gimbal", "two gimbals"],
+)
+def test_the_number_of_a_gimbal_names_a_channel_only_where_there_are_several(
+    opened, numbers, endings
+):
     recording = Recording()
-    recording.flight()
-    for k, result in enumerate((1, 1, 0, -1, 1)):
-        recording.shot(
-            (60 + k) * SECOND,
-            START + k * SECOND,
-            k,
-            result=result,
-        )
-    log = opened(recording.data)
-    assert log.channel("/fmu/out/CameraCapture")["event_index"].tolist() == [0, 1, 3, 4]
-    assert entry_in(log, "EVENT-FAILED").count == 1
+    for k in range(20):
+        gimbal = {"q": [1.0, 0.0, 0.0, 0.0], "gimbal_device_id": numbers[k % 2]}
+        boot_ns = 60 * SECOND + k * STEP
+        recording.send("GimbalDeviceAttitudeStatus", boot_ns, START + k * STEP, **gimbal)
+    names = [channel.name for channel in opened(recording.data).channels]
+    assert names == [f"/fmu/out/GimbalDeviceAttitudeStatus{ending}" for ending in endings]

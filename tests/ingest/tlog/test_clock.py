@@ -86,11 +86,31 @@ def test_a_short_boot_is_one(opened, rows, place):
     assert np.bincount(log.message("ATTITUDE")["boot"]).tolist() == lengths
 
 
-@pytest.mark.parametrize("rows", [1, 3])
-def test_a_glitch_of_the_clock_is_no_boot(opened, rows):
-    boot_ms = 60_000 + 50 * np.arange(800)
-    boot_ms[300 : 300 + rows] += 86_400_000
-    assert log_of(opened, boot_ms, START_US + 50_000 * np.arange(800)).boots == 1
+@pytest.mark.parametrize("rows", [[0], [5], [300], [300, 301, 302]])
+def test_a_glitch_of_the_clock_is_no_boot_and_costs_its_own_rows(opened, rows):
+    """Messages without a time of their own keep the vehicle's, before and after."""
+    bus = Bus()
+    for k in range(800):
+        at_us = START_US + 50_000 * k
+        boot_ms = 60_000 + 50 * k
+        if k % 20 == 0:
+            bus.send(
+                "system_time",
+                at_us,
+                time_unix_usec=at_us,
+                time_boot_ms=boot_ms,
+            )
+            bus.send("vfr_hud", at_us, airspeed=40.0)
+        ahead_ms = 11 * 86_400_000 if k in rows else 0
+        bus.send("attitude", at_us, time_boot_ms=boot_ms + ahead_ms)
+    log = opened(bus.data)
+    assert log.boots == 1
+    assert len(log.channel("ATTITUDE")) == 800 - len(rows)
+    loss = entry_in(log, "TIME-BACKWARD")
+    assert loss.kind == "loss"
+    assert loss.count == len(rows)
+    assert f"first at row {rows[0]}," in loss.where
+    assert_allclose(seconds(log, "VFR_HUD"), np.arange(40), atol=1e-3)
 
 
 def test_few_samples_of_a_steady_clock_are_kept():
@@ -120,40 +140,27 @@ BOOTS_S = ((10, 0, 30), (60, 3600, 600))
 """Of two boots: the first time since boot, when that was, and how many seconds it lasts."""
 
 
-def test_a_boot_whose_first_time_is_later_than_the_last(opened):
+@pytest.mark.parametrize("has_utc", [True, False])
+def test_a_boot_whose_first_time_is_later_than_the_last(opened, has_utc):
+    """Without UTC the stamps of the ground station tell it."""
     bus = Bus()
     for boot_s, utc_s, rows in BOOTS_S:
         for k in range(rows):
-            bus.vehicle(
-                1000 * (boot_s + k),
-                START_US + SECOND_US * (utc_s + k),
-            )
+            boot_ms = 1000 * (boot_s + k)
+            utc_us = START_US + SECOND_US * (utc_s + k)
+            if has_utc:
+                bus.vehicle(boot_ms, utc_us)
+            else:
+                bus.send("attitude", utc_us, time_boot_ms=boot_ms)
     log = opened(bus.data)
-    assert_array_equal(
-        seconds(log),
-        [*range(30), *range(3600, 4200)],
-    )
+    assert_array_equal(seconds(log), [*range(30), *range(3600, 4200)])
     assert log.boots == 2
+    assert not log.ledger.has_losses
     assert entry_in(log, "TIME-REBOOT").kind == "warning"
     assert with_code(log.ledger, "LOG-GAP") == []  # the vehicle was off
-
-
-def test_without_utc_the_stamps_of_the_log_tell_a_boot(opened):
-    bus = Bus()
-    for boot_s, utc_s, rows in BOOTS_S:
-        for k in range(rows):
-            at_us = START_US + SECOND_US * (utc_s + k)
-            bus.send(
-                "attitude",
-                at_us,
-                time_boot_ms=1000 * (boot_s + k),
-            )
-    log = opened(bus.data)
-    assert_array_equal(
-        seconds(log),
-        [*range(30), *range(3600, 4200)],
-    )
-    assert log.boots == 2
+    if not has_utc:
+        fallbacks = {entry.kind for entry in with_code(log.ledger, "TIME-HOST-CLOCK")}
+        assert fallbacks == {"fallback"}
 
 
 @pytest.mark.parametrize(
