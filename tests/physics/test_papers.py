@@ -305,6 +305,11 @@ def test_saastamoinens_worked_example(quantity, printed):
     assert_near(row["exact"], [printed], 1)
 
 
+def test_saastamoinens_eq_10_gives_the_same():
+    r = pub.weather_refraction(101_325.0, 47_200.0, 6000.0, 74_700.0, 278.0)
+    assert_near(r * 1e6, -3.4, 0.05)
+
+
 def test_the_errors_saastamoinen_states():
     """0.2 urad is said against Schut's sums; against Eq. 2 it is 0.24, at 12 km."""
     ican = rows("saastamoinen1974", "p. 297", "Eq. 3a, 3b: largest error")
@@ -387,3 +392,17 @@ def test_bertram_reads_low_and_by_how_much():
     ratio = table["printed"] / table["exact"] - 1.0
     assert ratio.max() < 0.0
     assert ratio.min() > -0.016
+
+
+@pytest.mark.parametrize(
+    ("metres", "degrees", "arcsec"),
+    [
+        (120, 45, 0.33),
+        (10_000, 45, 16.4),
+        (10_000, 85, 212.0),
+    ],
+)
+def test_the_sizes_the_manual_states(metres, degrees, arcsec):
+    """PHYSICS.md, "How big it is"."""
+    angle = refraction_angle(standard_atmosphere(), metres, 0.0, math.radians(degrees))
+    assert_close(angle / ARCSEC, arcsec, rtol=0.01)

@@ -8,6 +8,7 @@ from numpy.testing import assert_array_equal
 
 from tests.refraction.comparing import assert_close, assert_near
 from unbend.refraction import BrownConrady, Camera
+from unbend.simulate.optics import SimulatedCamera
 
 WIDTH = 14_000
 HEIGHT = 10_600
@@ -50,6 +51,44 @@ def test_there_and_back(camera, pixels):
     assert_array_equal(np.isnan(u), ~covered)
     again = camera.project(u[covered], v[covered])
     assert_near(again, (x[covered], y[covered]), 1e-9)
+
+
+def test_a_moderate_lens_covers_its_whole_image():
+    """The simulator's projection is written apart from this one, from OpenCV's manual."""
+    lens = BrownConrady(
+        k1=-0.018,
+        k2=0.009,
+        k3=-0.002,
+        p1=1.5e-4,
+        p2=-1e-4,
+    )
+    camera = Camera(
+        WIDTH,
+        HEIGHT,
+        11_000.0,
+        11_000.0,
+        7012.4,
+        5291.7,
+        lens,
+    )
+    x = np.tile(np.linspace(0, WIDTH, 29), 23)
+    y = np.repeat(np.linspace(0, HEIGHT, 23), 29)
+    u, v, covered = camera.rays(x, y)
+    assert covered.all()
+    opencv = (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3)
+    simulated = SimulatedCamera(
+        "x",
+        0,
+        11_000.0,
+        7012.4,
+        5291.7,
+        opencv,
+        0.0,
+        (0.0, 0.0, 0.0),
+    )
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1)
+    again = simulated.project(rays)
+    assert_near(again, (x, y), 1e-9)
 
 
 def with_unit_focal(*coefficients, **named):

@@ -6,12 +6,15 @@ from math import nan
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from tests.refraction.comparing import assert_near
 from tests.refraction.images import (
     DISTORTED,
     DOWN,
+    NO_EXPOSURES,
     PINHOLE,
     TILTED,
     corrected,
@@ -26,6 +29,7 @@ from unbend.refraction.status_codes import (
     BEYOND_GRAZING,
     FAR_BRANCH,
     MISSES_GROUND,
+    NO_STATION,
     OK,
     OUTSIDE_CAMERA,
 )
@@ -69,7 +73,6 @@ class Scene:
     h_c: float
     h_g: float
     options: dict
-    method: str = "spherical"
 
 
 WINDOW = {"cabin_excess": 6e-5, "normal": TILTED}
@@ -85,7 +88,7 @@ SCENES = {
         looking(45.0, 200.0, -70.0),
         9000.0,
         100.0,
-        {"cabin_excess": -6e-5, "change_px": -4.0},
+        {"cabin_excess": 6e-5, "change_px": -4.0},
     ),
     "level": Scene(looking(90.0, 30.0, 5.0), 3450.0, 450.0, WINDOW),
     "upwards": Scene(
@@ -93,20 +96,6 @@ SCENES = {
         1000.0,
         4000.0,
         {"change_px": 2.0},
-    ),
-    "plane": Scene(
-        looking(20.0),
-        3450.0,
-        450.0,
-        {},
-        "plane",
-    ),
-    "gyer1996": Scene(
-        looking(20.0),
-        3450.0,
-        450.0,
-        {},
-        "gyer1996",
     ),
 }
 
@@ -122,7 +111,6 @@ def test_there_and_back(scene):
         scene.h_g,
         setup,
         camera=DISTORTED,
-        table=rays_by(AIR, scene.method),
     )
 
     # Near the horizon two rays show points of one straight line: see below.
@@ -371,3 +359,45 @@ def test_neighbours_do_not_matter():
         expected = all_at_once.x_corrected_px[i]
         assert_near(alone.x_corrected_px[0], expected, 1e-10, equal_nan=True)
         assert alone.status[0] == all_at_once.status[i]
+
+
+@pytest.mark.parametrize("method", ["plane", "gyer1996"])
+def test_a_published_method_goes_both_ways_too(method):
+    x, y = random_pixels(6, 50)
+    setup = seen_from(looking(20.0))
+    table = rays_by(AIR, method)
+    ideal, seen = both_ways(
+        x,
+        y,
+        H_G,
+        setup,
+        camera=DISTORTED,
+        table=table,
+    )
+    assert (ideal.status == OK).all()
+    assert_pixels(seen, x, y)
+
+
+def test_nothing_to_displace():
+    nothing = np.empty(0)
+    seen = displaced(nothing, nothing, seen_from(), TABLE)
+    assert seen.x_corrected_px.shape == (0,)
+    seen = displaced(1.0, 1.0, NO_EXPOSURES, TABLE, row=-1)
+    assert seen.status.tolist() == [NO_STATION]
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.floats(500.0, 13_500.0),
+    st.floats(500.0, 10_100.0),
+    st.floats(-1e-4, 1e-4),
+    st.floats(-30.0, 30.0),
+    st.floats(-23.0, 23.0),
+)
+def test_what_is_applied_is_removed_again(x, y, excess, change_px, tilt):
+    setup = seen_from(looking(tilt), cabin_excess=excess, change_px=change_px)
+    seen = displaced(x, y, setup, TABLE, camera=DISTORTED)
+    x_seen = seen.x_corrected_px
+    y_seen = seen.y_corrected_px
+    back = corrected(x_seen, y_seen, setup, TABLE, camera=DISTORTED)
+    assert_pixels(back, x, y)

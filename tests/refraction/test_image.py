@@ -26,12 +26,7 @@ from tests.refraction.rays import AIR, TABLE
 from tests.refraction.straight_lines import metres_apart
 from unbend.geodesy import euler_radius
 from unbend.refraction import refraction_angle, status_codes
-from unbend.refraction.image import (
-    ground_displacement,
-    lattice_nodes,
-    outgoing_rays,
-    straight_reach,
-)
+from unbend.refraction.image import ground_displacement, outgoing_rays, straight_reach
 from unbend.refraction.kernels.columns import SPHERE_RADIUS, ObservationColumns
 from unbend.refraction.status_codes import (
     BAD_MEASUREMENT,
@@ -264,13 +259,14 @@ def test_each_reason_in_its_place(function, camera, radius_m):
         assert_array_equal(is_known, expected == OK, err_msg=name)
 
 
-@pytest.mark.parametrize("function", [corrected, displaced])
-def test_without_observations_or_stations(function):
-    nothing = np.empty(0)
-    of_nothing = function(nothing, nothing, LEVEL, TABLE)
-    assert of_nothing.x_corrected_px.shape == (0,)
-    of_none = function(1.0, 1.0, NO_EXPOSURES, TABLE, row=-1)
-    assert of_none.status.tolist() == [NO_STATION]
+def test_no_stations_at_all():
+    exposures = replace(
+        NO_EXPOSURES,
+        window_normal=np.empty((0, 3)),
+        principal_change_px=np.empty(0),
+    )
+    corrections = corrected(1.0, 1.0, exposures, TABLE, row=-1)
+    assert corrections.status.tolist() == [NO_STATION]
 
 
 @pytest.mark.parametrize("change", [inf, -inf, nan, -11_000.0, -12_000.0])
@@ -460,16 +456,3 @@ def test_mixed_exposures_keep_their_slant_ranges_and_heights():
 def test_every_status_has_its_own_name():
     codes = [getattr(status_codes, name.upper()) for name in STATUS_NAMES]
     assert codes == list(range(10))
-
-
-@pytest.mark.parametrize(
-    ("columns", "rows"),
-    [
-        (1, 5),
-        (5, 1),
-        (0, 0),
-    ],
-)
-def test_a_lattice_of_one_line_is_none(columns, rows):
-    with pytest.raises(ValueError, match="two columns"):
-        lattice_nodes(PINHOLE, columns, rows)

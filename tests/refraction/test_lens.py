@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.images import PINHOLE, RADIUS, corrected, exposure, looking
 from tests.refraction.rays import AIR, TABLE
 from unbend.refraction import BrownConrady, LensInAir
 from unbend.refraction.camera.camera import is_absurd, principal_change
-from unbend.refraction.image import straight_reach
 
 # A lens of 153 mm on pixels of 7.65 um, calibrated on the ground.
 PITCH_MM = 0.00765
@@ -85,19 +85,43 @@ def test_a_longer_principal_distance_puts_the_same_ray_farther_out():
     assert_close(changed.r_c_rad, calibrated.r_c_rad, rtol=1e-12)
 
 
-def on_the_ground(rotation, rays):
-    """Where straight lines (n, 3) of the camera meet the ground, from the camera [m]."""
-    directions = rays @ rotation
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
-    reach = straight_reach(H_C, H_G, -directions[:, 2], radius=RADIUS, far=False)
-    return reach[:, None] * directions
+def on_the_ground(rotation, u, v):
+    """Where a straight line of the camera meets the ground, from the earth's centre [m]."""
+    length = math.sqrt(u * u + v * v + 1.0)
+    inside = np.array([u, v, 1.0]) / length
+    direction = rotation.T @ inside
+
+    from_centre = RADIUS + H_C
+    along = from_centre * direction[2]
+    square_difference = (H_C - H_G) * (2.0 * RADIUS + H_C + H_G)
+    reach = -along - math.sqrt(along**2 - square_difference)
+
+    camera = np.array([0.0, 0.0, from_centre])
+    return camera + reach * direction
+
+
+def ideal(camera, k1, x_px, y_px):
+    """The ideal u, v of a pixel by the stated calibration."""
+    u_d = (x_px - camera.cx_px) / camera.fx_px
+    v_d = (y_px - camera.cy_px) / camera.fy_px
+    r_d = math.hypot(u_d, v_d)
+
+    def excess(r):
+        return r * (1.0 + k1 * r * r) - r_d
+
+    r = brentq(excess, 0.0, 2.0 * r_d, xtol=1e-15)
+    return u_d * r / r_d, v_d * r / r_d
 
 
 @pytest.mark.parametrize("k1", [0.0, -0.03])
 def test_metres_on_the_ground_are_those_of_the_shift_in_the_image(k1):
     """From where the stated calibration sees the measured pixel to where it sees the corrected."""
     camera = replace(PINHOLE, distortion=BrownConrady(k1=k1))
-    rotation = looking(30.0, azimuth_deg=60.0, swing_deg=20.0)
+    rotation = looking(
+        30.0,
+        azimuth_deg=60.0,
+        swing_deg=20.0,
+    )
     setup = exposure(
         AIR,
         rotation,
@@ -116,10 +140,11 @@ def test_metres_on_the_ground_are_those_of_the_shift_in_the_image(k1):
         h_g=H_G,
     )
 
-    seen_x = np.append(x, made.x_corrected_px)
-    seen_y = np.append(y, made.y_corrected_px)
-    u, v, _ = camera.rays(seen_x, seen_y)
-    rays = np.column_stack([u, v, np.ones(2)])
-    measured, true = on_the_ground(rotation, rays)
+    u, v = ideal(camera, k1, x[0], y[0])
+    measured = on_the_ground(rotation, u, v)
+    x_corrected = made.x_corrected_px[0]
+    y_corrected = made.y_corrected_px[0]
+    u, v = ideal(camera, k1, x_corrected, y_corrected)
+    true = on_the_ground(rotation, u, v)
     expected = np.linalg.norm(measured - true)
     assert made.shift_ground_m[0] == pytest.approx(expected, rel=2e-3)

@@ -53,6 +53,25 @@ def test_coefficients_that_correct_agree_with_the_table_of_the_distortion(report
     assert refusal.match(r"coefficients differ by 2\.\d um at a radius")
 
 
+def test_one_point_by_hand():
+    """OSL/2985 at x = 100 mm: dr = 2.616 - 2.295 + 0.145 um, decentring 3 p1 x^2, p2 x^2."""
+    focal, coefficients, _ = OSL_2985
+    centred = SCAN | {"ppa_mm": (0.0, 0.0), "ppbs_mm": (0.0, 0.0)}
+    fields = centred | {"coefficients": coefficients}
+    camera = metric_camera(focal, **fields, sense="correction")
+    x = np.array([5760.0 + 5000.0])
+    y = np.array([5745.0])
+    u, v, _ = camera.rays(x, y)
+    dx_um = 2.616 - 2.295 + 0.1454 - 3.0 * 0.3015
+    assert_near(focal * u * 1e3 - 100e3, [dx_um], 1e-6)
+    assert_near(-focal * v * 1e3, [0.1668], 1e-6)
+    # As a distortion the same numbers move an ideal point there by the same to the other side.
+    distorting = metric_camera(focal, **fields, sense="distortion")
+    u = np.array([100.0 / focal])
+    x, _ = distorting.project(u, np.zeros(1))
+    assert_near((x - 5760.0) * 20.0 - 100e3, [dx_um], 1e-6)
+
+
 PPA_MM = np.array([0.21, -0.13])
 PPBS_MM = np.array([0.05, 0.08])
 COEFFICIENTS = {

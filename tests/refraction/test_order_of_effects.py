@@ -1,12 +1,13 @@
 """Pixel, undistort, window, air, project, distort: in this order, against a chain of its own."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from tests.refraction.comparing import assert_close, assert_near
-from tests.refraction.images import DOWN, RADIUS, corrected, exposure, turned
+from tests.refraction.images import AHEAD, DOWN, RADIUS, corrected, exposure, turned
 from tests.refraction.rays import AIR, TABLE
 from unbend.refraction import BrownConrady, Camera, refraction_angle
 from unbend.refraction.camera.general_frame import GeneralFrame
@@ -18,6 +19,7 @@ H_G = 300.0
 OUTSIDE = float(AIR.refractivity(H_C))
 CABIN_EXCESS = 2.4e-4 - OUTSIDE
 OBLIQUE = turned("ZXY", [25.0, 180.0 - 28.0, 9.0])
+FORWARD = np.array(AHEAD)
 
 BROWN = Camera(
     8000,
@@ -71,36 +73,97 @@ PIXELS = np.array(
 )
 
 
-def window(rays):
+def distorted_by_brown(p, point):
+    u, v = point
+    r2 = u * u + v * v
+    radial = 1.0 + p.k1 * r2 + p.k2 * r2**2 + p.k3 * r2**3
+    du = 2.0 * p.p1 * u * v + p.p2 * (r2 + 2.0 * u * u)
+    dv = 2.0 * p.p2 * u * v + p.p1 * (r2 + 2.0 * v * v)
+    return radial * point + np.array([du, dv])
+
+
+def distorted_by_fisheye(p, point):
+    r = np.hypot(*point)
+    theta = np.arctan(r)
+    radial = 1.0 + p.k1 * theta**2 + p.k2 * theta**4
+    return theta * radial / r * point
+
+
+def corrected_by_report(p, point):
+    """Ideal coordinates of measured ones."""
+    x = point[0] - p.skew_x * point[1] + p.offset_u
+    y = point[1] + p.offset_v
+    r2 = x * x + y * y
+    radial = 1.0 + p.k1 * r2 + p.k2 * r2**2
+    u = x * radial + p.px * (r2 + 2.0 * x * x) + 2.0 * p.py * x * y - p.offset_u
+    v = y * radial + p.py * (r2 + 2.0 * y * y) + 2.0 * p.px * x * y - p.offset_v
+    return np.array([u, v])
+
+
+def inverse(function, value):
+    """The argument of a function, by Newton's method with differences."""
+    argument = np.array(value)
+    for _ in range(40):
+        slope = np.empty((2, 2))
+        for axis, step in enumerate(1e-6 * np.eye(2)):
+            difference = function(argument + step) - function(argument - step)
+            slope[:, axis] = difference / 2e-6
+        error = value - function(argument)
+        argument = argument + np.linalg.solve(slope, error)
+    return argument
+
+
+def distorted(camera, point):
+    """Written down from the definitions, for one point."""
+    parameters = camera.distortion
+    if isinstance(parameters, GeneralFrame):
+        return inverse(partial(corrected_by_report, parameters), point)
+    if isinstance(parameters, OpenCVFisheye):
+        return distorted_by_fisheye(parameters, point)
+    return distorted_by_brown(parameters, point)
+
+
+def undistort(ray, camera, _):
+    measured = ray[:2] / ray[2]
+    if isinstance(camera.distortion, GeneralFrame):
+        ideal = corrected_by_report(camera.distortion, measured)
+    else:
+        ideal = inverse(partial(distorted, camera), measured)
+    return np.append(ideal, 1.0)
+
+
+def window(ray, *_):
     """Snell's law at a plane square to the optical axis."""
+    d = ray / np.linalg.norm(ray)
     ratio = (1.0 + OUTSIDE + CABIN_EXCESS) / (1.0 + OUTSIDE)
-    across = ratio * rays[:, :2]
-    along = np.sqrt(1.0 - np.sum(across**2, axis=1))
-    return np.column_stack([across, along])
+    across = ratio * (d - (d @ FORWARD) * FORWARD)
+    return across + np.sqrt(1.0 - across @ across) * FORWARD
 
 
-def air(rays, rotation):
-    """Lowers directions towards the nadir by R."""
+def air(ray, _, rotation):
+    """Lowers a direction towards the nadir by R."""
     up = rotation[:, 2]
-    zeta = np.arccos(-(rays @ up))
+    d = ray / np.linalg.norm(ray)
+    zeta = np.arccos(-(d @ up))
     r_c = refraction_angle(AIR, H_C, H_G, zeta, radius=RADIUS)
     straight = zeta - r_c
-    level = rays + np.outer(np.cos(zeta), up)
-    level /= np.linalg.norm(level, axis=1)[:, None]
-    return np.sin(straight)[:, None] * level - np.outer(np.cos(straight), up)
+    level = d + np.cos(zeta) * up
+    level /= np.linalg.norm(level)
+    return np.sin(straight) * level - np.cos(straight) * up
 
 
-def shifts_by_chain(pixels, camera, rotation):
-    """(n, 2) what undistortion, window, air and distortion do to pixels, one after the other.
-
-    `test_camera.py` and `test_camera_models.py` compare distortions with other programs.
-    """
-    u, v, _ = camera.rays(*pixels.T)
-    rays = np.column_stack([u, v, np.ones_like(u)])
-    rays /= np.linalg.norm(rays, axis=1)[:, None]
-    x, y, z = air(window(rays), rotation).T
-    end = camera.project(x / z, y / z)
-    return np.transpose(end) - pixels
+def shifts_by(steps, pixels, camera, rotation):
+    """(n, 2) what a chain of steps does to pixels."""
+    focal = np.array([camera.fx_px, camera.fy_px])
+    principal = np.array([camera.cx_px, camera.cy_px])
+    shifts = []
+    for pixel in pixels:
+        ray = np.append((pixel - principal) / focal, 1.0)
+        for step in steps:
+            ray = step(ray, camera, rotation)
+        end = distorted(camera, ray[:2] / ray[2])
+        shifts.append(focal * end + principal - pixel)
+    return np.array(shifts)
 
 
 def corrections_of(pixels, camera, rotation):
@@ -116,7 +179,7 @@ def corrections_of(pixels, camera, rotation):
 
 def assert_shifts(corrections, pixels, camera, rotation, atol):
     """Pixels move as by the chain."""
-    expected = shifts_by_chain(pixels, camera, rotation)
+    expected = shifts_by([undistort, window, air], pixels, camera, rotation)
     moved = np.stack([corrections.dx_px, corrections.dy_px], axis=1)
     assert np.hypot(*moved.T).min() > 0.01
     assert_near(moved, expected, atol)

@@ -470,6 +470,19 @@ def test_manual_is_the_formula():
     assert_close(r, k * URAD * math.tan(zeta), rtol=1e-12)
 
 
+def test_manual_is_a_fit_to_bertram():
+    printed = [  # h_c, R [urad] in Table 1 and 2 from 6.5 km
+        (6500.0, 61.9),
+        (10_500.0, 80.7),
+        (15_500.0, 93.3),
+        (20_500.0, 89.7),
+        (38_500.0, 59.7),
+        (80_500.0, 29.1),
+    ]
+    for h_c, r in printed:
+        assert_close(at_45(manual, None, h_c), r, rtol=0.07)
+
+
 @pytest.mark.parametrize(
     ("index", "within"),
     [

@@ -70,15 +70,16 @@ def test_a_ray_that_misses_the_ground_says_so_and_metres_end_at_the_horizon():
 
 
 @pytest.mark.parametrize(
-    ("largest", "step", "count"),
+    ("largest", "step", "expected"),
     [
-        (60.0, 15.0, 5),
-        (80.0, 0.1, 801),
+        (60.0, 15.0, [0.0, 15.0, 30.0, 45.0, 60.0]),
+        (50.0, 15.0, [0.0, 15.0, 30.0, 45.0, 50.0]),
+        (80.0, 0.1, np.linspace(0.0, 80.0, 801)),
     ],
 )
-def test_angles_end_with_the_largest(largest, step, count):
+def test_angles_end_with_the_largest(largest, step, expected):
     degrees = np.degrees(angles_to(largest, step))
-    assert_near(degrees, np.linspace(0.0, largest, count), 1e-12)
+    assert_near(degrees, expected, 1e-12)
 
 
 @pytest.mark.parametrize(
