@@ -337,6 +337,10 @@ def test_ican_formulas_meet_at_the_tropopause():
 def test_saastamoinen_eq_6():
     r = at_45(saastamoinen1974_quadratic, US1962, 6000.0, 1000.0)
     assert_close(r, 13.0 * 5.0 * (1.0 - 0.02 * 13.0), rtol=1e-12)
+    h_c = np.arange(250.0, 9001.0, 250.0)
+    summed = at_45(saastamoinen1974, US1962, h_c)
+    formula = at_45(saastamoinen1974_quadratic, US1962, h_c)
+    assert_near(formula, summed, 0.5)
 
 
 def test_saastamoinen_eq_5_is_exact_in_an_index_of_second_order():
