@@ -12,7 +12,14 @@ from unbend.simulate.optics import SimulatedCamera
 
 WIDTH = 14_000
 HEIGHT = 10_600
-SMALL = Camera(100, 80, 90.0, 90.0, 50.0, 40.0)
+SMALL = Camera(
+    100,
+    80,
+    90.0,
+    90.0,
+    50.0,
+    40.0,
+)
 
 cameras = st.builds(
     Camera,
@@ -157,18 +164,20 @@ def test_coefficients_of_no_size_do_no_harm(tiny):
     assert nearly_none.largest_radius > 1e3
 
 
-def test_the_edge_of_the_format_is_covered():
-    x = np.array([0.0, 100.0, 50.0, 50.0])
-    y = np.array([40.0, 40.0, 0.0, 80.0])
+@pytest.mark.parametrize(
+    ("beyond", "expected"),
+    [
+        (0.0, True),
+        (0.01, False),
+        (np.nan, False),
+        (np.inf, False),
+    ],
+)
+def test_the_format_is_covered_to_its_edge(beyond, expected):
+    x = np.array([-beyond, 100.0 + beyond, 50.0, 50.0])
+    y = np.array([40.0, 40.0, -beyond, 80.0 + beyond])
     _, _, covered = SMALL.rays(x, y)
-    assert covered.tolist() == [True] * 4
-
-
-def test_outside_the_format_is_not_covered():
-    x = np.array([-0.01, 100.01, 50.0, 50.0, np.nan, np.inf])
-    y = np.array([40.0, 40.0, -0.01, 80.01, 40.0, 40.0])
-    _, _, covered = SMALL.rays(x, y)
-    assert covered.tolist() == [False] * 6
+    assert covered.tolist() == [expected] * 4
 
 
 def test_no_pixels_no_rays():

@@ -30,10 +30,12 @@ def heights(h_c, degrees, distance, table=TABLE):
     return height_at_distance(table, h_c, sine, cosine, distance, radius=RADIUS)
 
 
-def assert_height(h_c, degrees, distance, expected):
-    h_g, status = heights(h_c, degrees, distance)
+def assert_end_of_chord(h_c, h, degrees, beyond=False):
+    """The height at the length of an exact chord is that of its end."""
+    chord = ExactRays(30).crossing(h_c, h, math.radians(degrees), beyond=beyond)
+    h_g, status = heights(h_c, degrees, chord.distance_m)
     assert status == OK
-    assert_near(h_g, float(expected), 1e-6)
+    assert_near(h_g, float(h), 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -50,24 +52,19 @@ def assert_height(h_c, degrees, distance, expected):
     ],
 )
 def test_against_thirty_digits(h_c, h, degrees):
-    chord = ExactRays(30).crossing(h_c, h, math.radians(degrees))
-    assert_height(h_c, degrees, chord.distance_m, h)
+    assert_end_of_chord(h_c, h, degrees)
 
 
 @pytest.mark.parametrize("above", [1e-6, 1e-3, 1.0, 500.0])
 @pytest.mark.parametrize("beyond", [False, True])
 def test_through_the_lowest_point(above, beyond):
-    exact = ExactRays(30)
-    zeta = math.radians(88.2)
-    h = exact.turning_height(5000.0, zeta) + above
-    chord = exact.crossing(5000.0, h, zeta, beyond=beyond)
-    assert_height(5000.0, 88.2, chord.distance_m, h)
+    turning_m = ExactRays(30).turning_height(5000.0, math.radians(88.2))
+    assert_end_of_chord(5000.0, turning_m + above, 88.2, beyond)
 
 
 @pytest.mark.parametrize("h", [5000.0, 9000.0])
 def test_far_beyond_it_the_ray_rises_over_the_camera(h):
-    chord = ExactRays(30).crossing(5000.0, h, math.radians(88.2), beyond=True)
-    assert_height(5000.0, 88.2, chord.distance_m, h)
+    assert_end_of_chord(5000.0, h, 88.2, beyond=True)
 
 
 def test_the_angle_at_that_height_gives_the_distance_back():

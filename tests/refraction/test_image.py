@@ -22,9 +22,10 @@ from tests.refraction.images import (
     looking,
     together,
 )
+from tests.refraction.rays import AIR, TABLE
 from tests.refraction.straight_lines import metres_apart
-from unbend.atmosphere import standard_atmosphere
-from unbend.refraction import ray_table, refraction_angle, status_codes
+from unbend.geodesy import euler_radius
+from unbend.refraction import refraction_angle, status_codes
 from unbend.refraction.image import ground_displacement, outgoing_rays, straight_reach
 from unbend.refraction.kernels.columns import SPHERE_RADIUS, ObservationColumns
 from unbend.refraction.status_codes import (
@@ -43,8 +44,6 @@ from unbend.refraction.window import refract_at_window
 H_C = 3450.0
 H_G = 450.0
 F_PX = PINHOLE.fx_px
-AIR = standard_atmosphere("us1976")
-TABLE = ray_table(AIR)
 OUTSIDE = float(AIR.refractivity(H_C))
 CABIN_EXCESS = 6e-5
 WITHOUT_AND_WITH_WINDOW = pytest.mark.parametrize(
@@ -293,18 +292,11 @@ def radius_along_the_axis(rotation, radius_m):
 
 @pytest.mark.parametrize("azimuth", [0.0, 30.0, 90.0, 200.0])
 def test_the_radius_is_eulers_in_the_azimuth_of_the_ray(azimuth):
-    """GRS 80 at 0.8 rad by hand: 1/R = cos^2 A / M + sin^2 A / N."""
     rotation = looking(45, azimuth)
     east, north, _ = rotation[2]
     to_ray = math.atan2(east, north)
-    a = 6_378_137.0
-    e2 = 0.006694380
-    w2 = 1.0 - e2 * math.sin(0.8) ** 2
-    prime_vertical = a / math.sqrt(w2)
-    meridian = a * (1.0 - e2) / w2**1.5
-    curvature = math.cos(to_ray) ** 2 / meridian + math.sin(to_ray) ** 2 / prime_vertical
     radius_m = radius_along_the_axis(rotation, None)
-    assert_close(radius_m, 1.0 / curvature, rtol=1e-7)
+    assert_close(radius_m, euler_radius(0.8, to_ray), rtol=1e-14)
 
 
 def test_a_given_radius_is_that_of_every_ray():

@@ -9,8 +9,8 @@ from scipy.optimize import brentq
 
 from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.images import PINHOLE, RADIUS, corrected, exposure, looking
-from unbend.atmosphere import standard_atmosphere
-from unbend.refraction import BrownConrady, LensInAir, ray_table
+from tests.refraction.rays import AIR, TABLE
+from unbend.refraction import BrownConrady, LensInAir
 from unbend.refraction.camera.camera import is_absurd, principal_change
 
 # A lens of 153 mm on pixels of 7.65 um, calibrated on the ground.
@@ -69,13 +69,12 @@ def test_a_longer_principal_distance_puts_the_same_ray_farther_out():
     """By hand: u = 0.3 is at cx + 11000 * 0.3 calibrated, 12 * 0.3 px farther in flight."""
     u = 0.3
     v = -0.2
-    air = standard_atmosphere("us1976")
 
     def of_change(change_px):
         x = PINHOLE.cx_px + (PINHOLE.fx_px + change_px) * u
         y = PINHOLE.cy_px + (PINHOLE.fy_px + change_px) * v
-        setup = exposure(air, change_px=change_px)
-        return corrected(x, y, setup, ray_table(air))
+        setup = exposure(AIR, change_px=change_px)
+        return corrected(x, y, setup, TABLE)
 
     changed = of_change(12.0)
     calibrated = of_change(0.0)
@@ -117,7 +116,6 @@ def ideal(camera, k1, x_px, y_px):
 @pytest.mark.parametrize("k1", [0.0, -0.03])
 def test_metres_on_the_ground_are_those_of_the_shift_in_the_image(k1):
     """From where the stated calibration sees the measured pixel to where it sees the corrected."""
-    air = standard_atmosphere("us1976")
     camera = replace(PINHOLE, distortion=BrownConrady(k1=k1))
     rotation = looking(
         30.0,
@@ -125,7 +123,7 @@ def test_metres_on_the_ground_are_those_of_the_shift_in_the_image(k1):
         swing_deg=20.0,
     )
     setup = exposure(
-        air,
+        AIR,
         rotation,
         cabin_excess=2e-5,
         change_px=1.2,
@@ -137,7 +135,7 @@ def test_metres_on_the_ground_are_those_of_the_shift_in_the_image(k1):
         x,
         y,
         setup,
-        ray_table(air),
+        TABLE,
         camera=camera,
         h_g=H_G,
     )

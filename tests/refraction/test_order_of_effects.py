@@ -8,16 +8,14 @@ import pytest
 
 from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.images import AHEAD, DOWN, RADIUS, corrected, exposure, turned
-from unbend.atmosphere import standard_atmosphere
-from unbend.refraction import BrownConrady, Camera, ray_table, refraction_angle
+from tests.refraction.rays import AIR, TABLE
+from unbend.refraction import BrownConrady, Camera, refraction_angle
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.refraction.status_codes import OK, OUTSIDE_CAMERA
 
 H_C = 6000.0
 H_G = 300.0
-AIR = standard_atmosphere("us1976")
-TABLE = ray_table(AIR)
 OUTSIDE = float(AIR.refractivity(H_C))
 CABIN_EXCESS = 2.4e-4 - OUTSIDE
 OBLIQUE = turned("ZXY", [25.0, 180.0 - 28.0, 9.0])
