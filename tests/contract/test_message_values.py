@@ -38,7 +38,8 @@ def distinct_arguments(maker: Callable[..., Any]) -> dict[str, Any] | None:
     """A value for each argument by its annotation, no two alike; None where one is an object."""
     numbers = itertools.count(3)
     arguments: dict[str, Any] = {}
-    for name, parameter in inspect.signature(maker, eval_str=True).parameters.items():
+    signature = inspect.signature(maker, eval_str=True)
+    for name, parameter in signature.parameters.items():
         kind = parameter.annotation
         if kind is bool:
             arguments[name] = False

@@ -10,7 +10,8 @@ from tests.contract.sources import ROOT, text_of
 FENCE = re.compile(r"^```pycon\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
-PAGES = [path for path in sorted(ROOT.glob("docs/**/*.md")) if FENCE.search(text_of(path))]
+ALL_PAGES = sorted(ROOT.glob("docs/**/*.md"))
+PAGES = [path for path in ALL_PAGES if FENCE.search(text_of(path))]
 
 
 def examples(page: str) -> str:

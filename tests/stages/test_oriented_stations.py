@@ -31,7 +31,6 @@ from tests.stages.oriented_tables import (
 )
 from tests.stages.other_logs import message_of, read_folder
 from tests.stages.small_missions import enu_at
-from tests.weather_texts import sounding_text
 from unbend.batch.runs import read_mission
 
 UNDULATION_M = 47.6
@@ -525,6 +524,17 @@ def truth_of(flown, name):
     return pq.read_table(flown.truth / f"{name}.parquet").to_pandas()
 
 
+def true_sounding(flown, station):
+    """The true air below 9000 m at the time and the place of a station."""
+    air = truth_of(flown, "profile").query("h_m < 9000")
+    sounding = air[["h_m", "pressure_pa", "temperature_k", "vapour_pressure_pa"]]
+    return sounding[::20].assign(
+        time_utc=station["time_utc"].strftime("%Y-%m-%dT%H:%M:%SZ"),
+        latitude_deg=round(station["lat_deg"], 3),
+        longitude_deg=round(station["lon_deg"], 3),
+    )
+
+
 def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factory, tmp_path):
     """As printed there, under twenty lines: true stations as angles, the true air as a sounding.
 
@@ -540,12 +550,7 @@ def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factor
     opk = columns_of(stations).drop(columns=["camera", "time"])
     opk["height"] = stations["h_ellipsoid_m"].round(4)
     write(mission, opk, "opk.csv")
-    sounding = sounding_text(
-        time_utc=f"{first['time_utc']:%Y-%m-%dT%H:%M:%SZ}",
-        latitude_deg=first["lat_deg"],
-        longitude_deg=first["lon_deg"],
-    )
-    (mission.folder / "sounding.csv").write_text(sounding)
+    write(mission, true_sounding(flown, first), "sounding.csv")
     measured = mission.measurements().to_pandas()
     nadir = measured["image"].str.startswith("nadir").to_numpy()
     observations = mission.folder / "observations.parquet"
@@ -568,9 +573,10 @@ def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factor
     error = np.linalg.norm(corrected - true, axis=1)
     assert size.max() > 0.05
     # The remaining error is the cabin's, whose pressure differs between exposures but not here,
-    # and the air's: a balloon is believed to 1.2 K, so that its R is 0.9 % from the true one.
-    assert error.max() < 0.02 * size.max()
-    assert np.linalg.norm(error) < 0.02 * np.linalg.norm(size)
+    # and the air's: a balloon is believed to 1.2 K, and this air is 10 K warmer than usual above an
+    # inversion, so that its R is 1.2 % from the true one.
+    assert error.max() < 0.025 * size.max()
+    assert np.linalg.norm(error) < 0.025 * np.linalg.norm(size)
 
 
 # --- the user's own tie points decide between readings ---------------------------------------

@@ -61,9 +61,9 @@ _MIXED_BY_DEGREES = {
 }
 """How far a summer's afternoon mixes the lowest air."""
 
-_FULLY_MIXED_FROM = 1.5
-"""Air is mixed in full where the cosine of the hour, 1 at the warmest, is 1 / 1.5: from three hours
-before until three hours after. Air that was mixed once stays so until the evening."""
+_MIXED_IN_THE_EVENING = 1.5
+"""Air that was mixed stays so: after the warmest hour it is mixed by so many times the cosine of
+the hour, and in full for three hours."""
 
 _INVERSIONS_OF_WINTER = {
     250.0: 1.0,
@@ -281,14 +281,16 @@ def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
 
     0 at night, in winter, and where the mean local time [h] is not known.
 
-    >>> [round(mixed_share(0.8, 7.0, hour), 2) for hour in (3.0, 10.0, 15.0)]
-    [0.0, 0.39, 1.0]
+    >>> [round(mixed_share(0.8, 7.0, hour), 2) for hour in (3.0, 10.0, 15.0, 18.0)]
+    [0.0, 0.26, 1.0, 1.0]
     """
     if hour is None:
         return 0.0
     warm = 0.5 - 0.5 * season(latitude_rad, month)
     sunny = max(0.0, math.cos(2.0 * math.pi * (hour - WARMEST_HOUR) / 24.0))
-    mixed = min(1.0, _FULLY_MIXED_FROM * sunny)
+    mixed = sunny
+    if hour > WARMEST_HOUR:
+        mixed = min(1.0, _MIXED_IN_THE_EVENING * sunny)
     return warm * mixed * _at_latitude(_MIXED_BY_DEGREES, latitude_rad)
 
 

@@ -113,7 +113,8 @@ def test_instances_stay_apart_where_a_definition_gains_them(writer, opened):
             40.0,
         )
     log = opened(writer.data)
-    for name, pressure_pa in (("BARO", 90_000.0), ("BARO[0]", 80_000.0), ("BARO[1]", 99_000.0)):
+    read_pa = {"BARO": 90_000.0, "BARO[0]": 80_000.0, "BARO[1]": 99_000.0}
+    for name, pressure_pa in read_pa.items():
         assert np.unique(log.channel(name)["pressure_pa"]).tolist() == [pressure_pa]
     instances = log.message("BARO")["I"]
     assert instances.dtype.kind == "i"
@@ -155,7 +156,8 @@ def test_the_undulation_and_heights_above_the_ellipsoid(writer, opened, options,
     for name, heights in columns.items():
         assert_array_equal(channel[name][:2], heights)
     assert "undulation_m" not in channel.columns
-    told = [(entry.kind, entry.where) for entry in with_code(log.ledger, "HEIGHT-ELLIPSOID")]
+    entries = with_code(log.ledger, "HEIGHT-ELLIPSOID")
+    told = [(entry.kind, entry.where) for entry in entries]
     assert told == [("note", "PARM")] * (options == 16.0)
 
 
@@ -183,6 +185,7 @@ def test_impossible_values_are_flagged_when_a_log_is_opened(writer, opened):
     assert len(channel) == 56
     assert np.isnan(channel["h_msl_m"]).sum() == 1
     assert np.degrees(channel["lat_rad"]).max() == pytest.approx(47.0)
-    flags = [(entry.code, entry.count) for entry in log.ledger if entry.kind == "loss"]
+    losses = [entry for entry in log.ledger if entry.kind == "loss"]
+    flags = [(entry.code, entry.count) for entry in losses]
     assert sorted(flags) == [("SENSOR-JUMP", 3), ("SENSOR-RANGE", 1), ("SENSOR-RANGE", 1)]
     assert len(log.message("GPS")["Lat"]) == 60  # a table is as it was logged

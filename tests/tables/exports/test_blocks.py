@@ -154,9 +154,10 @@ def test_colmap_has_the_camera_itself(block, distortion, model):
     assert read.model.name == model
     assert camera_of_model(model, read.width, read.height, read.params) == camera
     rng = np.random.default_rng(2)
-    rays = np.ones((50, 3))
-    rays[:, :2] = rng.uniform(-0.3, 0.3, (50, 2))
-    expected = np.transpose(camera.project(rays[:, 0], rays[:, 1]))
+    x = rng.uniform(-0.3, 0.3, 50)
+    y = rng.uniform(-0.3, 0.3, 50)
+    rays = np.column_stack([x, y, np.ones(50)])
+    expected = np.column_stack(camera.project(x, y))
     assert_within(read.img_from_cam(rays), expected, 1e-8)
 
 
@@ -408,7 +409,8 @@ def test_a_block_whose_points_are_mostly_of_one_image_is_a_warning(block, name):
     tied = several[several.point == several.point.iloc[0]]
     others = block.rows.drop(tied.index)
     row_numbers = [f"row {number}" for number in range(len(others))]
-    rows = pd.concat([tied, others.assign(point=row_numbers)], ignore_index=True)
+    single_rows = others.assign(point=row_numbers)
+    rows = pd.concat([tied, single_rows], ignore_index=True)
 
     exported = write_export(block.run(rows), name)
 

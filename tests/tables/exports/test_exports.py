@@ -25,8 +25,22 @@ from unbend.refraction.ray import rays_by
 from unbend.tables.exports import FORMATS, ExportCamera, ExportFormat, FinishedRun, Option
 from unbend.tables.exports.export_frames import ExportFrame
 
-NADIR = Camera(1000, 800, fx_px=900.0, fy_px=900.0, cx_px=500.0, cy_px=400.0)
-SIDE = Camera(600, 400, fx_px=700.0, fy_px=500.0, cx_px=300.0, cy_px=200.0)
+NADIR = Camera(
+    width_px=1000,
+    height_px=800,
+    fx_px=900.0,
+    fy_px=900.0,
+    cx_px=500.0,
+    cy_px=400.0,
+)
+SIDE = Camera(
+    width_px=600,
+    height_px=400,
+    fx_px=700.0,
+    fy_px=500.0,
+    cx_px=300.0,
+    cy_px=200.0,
+)
 CAMERAS = {
     "nadir": ExportCamera(NADIR, False),
     "side": ExportCamera(SIDE, True),
