@@ -476,30 +476,35 @@ def variance_of_r(matrix: np.ndarray) -> np.ndarray:
     return np.einsum("ci,ij,cj->c", R_BY_TEMPERATURE, matrix, R_BY_TEMPERATURE)
 
 
-def variance_of_r_by_metar(matrix: np.ndarray) -> np.ndarray:
-    """(c,) of R at `CLIMBS_M` [%2] where the temperature at the ground is known by a METAR."""
+def variance_of_r_left_by_metar(matrix: np.ndarray) -> np.ndarray:
+    """(c,) variance of R at `CLIMBS_M` [%2] that is left when a METAR gives the temperature at the
+    ground, which is row 0 of ``matrix``."""
     with_ground = R_BY_TEMPERATURE @ matrix[:, 0]
     explained = with_ground**2 / (matrix[0, 0] + METAR_SIGMA_K**2)
     return variance_of_r(matrix) - explained
 
 
 def residuals_of(moment: Moments, matrix: np.ndarray) -> np.ndarray:
-    """What a model misses of the moments, in units of their weight."""
+    """Weighted residuals for least squares.
+
+    Of the matrix in units of its sigmas, and of the logarithms of the variances of R and of T.
+    Moments of departures also have the variance of R that a METAR leaves.
+    """
     variance = np.maximum(np.diag(moment.matrix), 1.0)
     sigma = np.sqrt(variance)
-    root = math.sqrt(sigma.size)
-    of_matrix = (matrix - moment.matrix) / np.outer(sigma, sigma) / root
+    root_of_levels = math.sqrt(sigma.size)  # so that a matrix weighs as one of its rows
+    of_matrix = (matrix - moment.matrix) / np.outer(sigma, sigma) / root_of_levels
     of_r = np.log(variance_of_r(matrix) / moment.r)
-    variances = np.diag(matrix) / sigma**2
-    of_t = np.log(variances) / root
+    variance_ratio = np.diag(matrix) / sigma**2
+    of_t = np.log(variance_ratio) / root_of_levels
     rows = [
         of_matrix.ravel(),
         FUNCTIONAL_WEIGHT * of_r,
         FUNCTIONAL_WEIGHT * of_t,
     ]
     if not moment.is_change:
-        observed = np.maximum(variance_of_r_by_metar(moment.matrix), LEAST_LEFT_BY_METAR)
-        of_metar = np.log(variance_of_r_by_metar(matrix) / observed)
+        observed = np.maximum(variance_of_r_left_by_metar(moment.matrix), LEAST_LEFT_BY_METAR)
+        of_metar = np.log(variance_of_r_left_by_metar(matrix) / observed)
         rows.append(FUNCTIONAL_WEIGHT * of_metar)
     return np.sqrt(moment.weight / GROUP_WEIGHT) * np.concatenate(rows)
 

@@ -139,7 +139,7 @@ def correct(
         run_stations = stations_of(placed)
         from_run = mission.stations.model_copy(update={"orientation": None})
         mission = mission.model_copy(update={"log": None, "stations": from_run})
-    ledger = Ledger(choices_of_tables(mission, frame, orientation or {}, sections))
+    ledger = Ledger(messages_of_tables(mission, frame, orientation or {}, sections))
     mission, inputs = inputs_of_tables(mission, measured, frame, ledger)
     prepared = prepare_mission(mission, inputs, ledger, stations=run_stations)
     if not isinstance(profile, str | Mapping):
@@ -230,16 +230,17 @@ def ground_section(stated: object) -> object:
     return {**_DEFAULT_GROUND, **stated}
 
 
-def choices_of_tables(
+def messages_of_tables(
     mission: Mission,
     frame: pd.DataFrame,
     orientation: Mapping[str, Any],
     sections: Mapping[str, Any],
 ) -> Iterator[Message]:
-    """What was decided about tables in memory without being stated.
+    """Messages about tables in memory: what was decided without being stated, or not used.
 
-    ``mission`` is theirs; ``frame`` is the table of stations, its columns named by quantities;
-    ``orientation`` and ``sections`` are as the caller stated them.
+    ``mission`` was made of these tables; it has no orientation where the stations are those of a
+    run. ``frame`` is the table of stations, its columns named by quantities; ``orientation`` and
+    ``sections`` are as the caller stated them.
     """
     defaults = _DEFAULT_GROUND.keys() - sections.get("ground", {}).keys()
     if defaults:
@@ -262,21 +263,22 @@ def choices_of_tables(
     used = set(stated_orientation(section).columns.values())
     for alternatives in (_ANGLES_OF_COLUMN, _REFERENCE_OF_HEIGHT):
         present = [name for name in alternatives if name in filled]
-        yield from unused_columns(present, used)
+        yield from warning_of_unused(present, used)
     if "date" in orientation and "time_utc" in filled:
         yield messages.date_before_times(where="orientation", date=str(orientation["date"]))
 
 
-def unused_columns(present: Sequence[str], used: Set[str]) -> Iterator[Message]:
-    """A warning if some of the columns that say the same are not used."""
-    unused = [name for name in present if name not in used]
-    if len(present) < 2 or not unused:
+def warning_of_unused(alternatives: Sequence[str], used: Set[str]) -> Iterator[Message]:
+    """A warning if a table has several columns that say the same, and uses only some of them."""
+    chosen = [name for name in alternatives if name in used]
+    unused = [name for name in alternatives if name not in used]
+    if not chosen or not unused:
         return
     yield messages.columns_not_used(
         where="stations",
         count=len(unused),
         unused=", ".join(unused),
-        used=", ".join(name for name in present if name in used),
+        used=", ".join(chosen),
     )
 
 

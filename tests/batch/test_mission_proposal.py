@@ -21,7 +21,7 @@ from tests.logs import LOGS, at_hand
 from unbend.batch.proposal import mission_text
 from unbend.batch.proposal.log_facts import (
     LogFacts,
-    compartment_of,
+    cabin_barometers_of,
     facts_of_log,
     indoors_remark,
     place_remark,
@@ -482,9 +482,9 @@ def test_below_2_km_a_second_barometer_proposes_no_window(tmp_path, highest_m):
     ],
 )
 def test_a_compartment_may_be_a_cabin_from_2_km_on(indoors, highest_m, names, remark):
-    compartment = compartment_of(indoors, highest_m)
-    text = indoors_remark(indoors, compartment)
-    assert compartment == names
+    cabin_barometers = cabin_barometers_of(indoors, highest_m)
+    text = indoors_remark(indoors, cabin_barometers)
+    assert cabin_barometers == names
     assert text.startswith(remark)
     assert bool(text) == bool(remark)
 

@@ -277,21 +277,23 @@ def _at_latitude(by_degrees: Mapping[float, float], latitude_rad: float) -> floa
 
 
 def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
-    """How far the sun has mixed the lowest air: 1 on a summer's afternoon.
+    """Share of full mixing of the lowest air by the sun.
 
-    0 at night, in winter, and where the mean local time [h] is not known.
+    1 on a mid-summer's afternoon up to 50 degrees of latitude, less towards 60 (snow). It follows
+    the height of the sun, and stays longer after the warmest hour. 0 at night, in mid-winter, and
+    where the mean local time [h] is not known.
 
     >>> [round(mixed_share(0.8, 7.0, hour), 2) for hour in (3.0, 10.0, 15.0, 18.0)]
     [0.0, 0.26, 1.0, 1.0]
     """
     if hour is None:
         return 0.0
-    warm = 0.5 - 0.5 * season(latitude_rad, month)
+    summer = 0.5 - 0.5 * season(latitude_rad, month)
     sunny = max(0.0, math.cos(2.0 * math.pi * (hour - WARMEST_HOUR) / 24.0))
     mixed = sunny
     if hour > WARMEST_HOUR:
         mixed = min(1.0, _MIXED_IN_THE_EVENING * sunny)
-    return warm * mixed * _at_latitude(_MIXED_BY_DEGREES, latitude_rad)
+    return summer * mixed * _at_latitude(_MIXED_BY_DEGREES, latitude_rad)
 
 
 def inversions_of_season(reduced_m: Array, latitude_rad: float, month: float) -> Array:

@@ -184,8 +184,12 @@ class Axis:
             offset = offset[np.abs(offset - self.offset) <= reach]
         return offset
 
-    def with_sigma_shown(self, clocks: Array) -> Axis:
-        """The axis with the sigma that the residuals of the best clock show, if that is larger."""
+    def with_sigma_inflated(self, clocks: Array) -> Axis:
+        """The axis with all sigmas enlarged by one factor, to the spread of its residuals.
+
+        Those of the clock with the least median misfit; sigmas are never reduced. An axis of
+        numbers keeps its sigma.
+        """
         if not self.is_time:
             return self
         misfit = np.abs(self.residuals(clocks)) / self.sigma

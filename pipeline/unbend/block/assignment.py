@@ -101,7 +101,7 @@ def assign(
     offsets = np.append(offsets, images.offsets_of_names(events, axis))
     if first_image is not None:
         offsets = np.append(offsets, offset_of_first_image(axis, first_image))
-    axis = axis.with_sigma_shown(axis.fitted(offsets))
+    axis = axis.with_sigma_inflated(axis.fitted(offsets))
     clocks, shares = axis.with_neighbours(axis.fitted(offsets))
     hypotheses = scored_hypotheses(events, images, axis, clocks, shares)
     if tie_points is not None:

@@ -67,7 +67,11 @@ def refusal_of(
     *,
     own: dict[str, Any] | None = None,
 ) -> ConfigError:
-    """The refusal of a file with what the models refuse of it; ``own`` as in `sentences_of`."""
+    """The refusal of a mission or campaign file, which tells its first mistakes.
+
+    ``items`` are errors of pydantic; open questions in ``values`` are mistakes too. ``own`` are the
+    values of the mission file itself, the others are from its campaign.
+    """
     sentences = sentences_of(items, values, node, own)
     has_more = len(sentences) > MOST_SENTENCES or len(items) > MOST_REFUSED
     code = _code_of(items, has_questions=bool(open_questions(values)))

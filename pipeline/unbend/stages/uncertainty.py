@@ -198,9 +198,10 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
 
 
 def missing_sigmas_of_attitudes(mission: Mission, stations: Stations) -> Iterator[str]:
-    """The standard deviations that attitudes lack, each with the key that would state it.
+    """The standard deviations of tilt and yaw that any station in use lacks.
 
-    The effect of the attitude is known only where tilt and yaw both have one.
+    Each with the key that would state it: of the mount of each camera where the attitudes come from
+    a log, else of the orientation of the stations.
     """
     sigmas = station_sigmas(mission, stations)
     of_attitude = {

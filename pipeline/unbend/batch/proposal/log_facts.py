@@ -67,7 +67,7 @@ def facts_of_log(path: Path) -> LogFacts:
             indoors.append(note.where)
         elif note.code in OPEN_ROLES:
             open_roles[note.where.removeprefix("log.channels.")] = None
-    compartment = compartment_of(indoors, highest_of(plausible))
+    compartment = cabin_barometers_of(indoors, highest_of(plausible))
     for role in open_roles:
         questions += questions_of_role(role, log.channels, compartment)
 
@@ -88,7 +88,7 @@ def facts_of_log(path: Path) -> LogFacts:
     )
 
 
-def compartment_of(indoors: Sequence[str], highest_m: float) -> str:
+def cabin_barometers_of(indoors: Sequence[str], highest_m: float) -> str:
     """The names of barometers that may be in a pressurised cabin; "" for none.
 
     ``indoors`` are those that do not follow the height, ``highest_m`` is that of the flight.
@@ -96,20 +96,21 @@ def compartment_of(indoors: Sequence[str], highest_m: float) -> str:
     return ", ".join(indoors) if highest_m >= LOWEST_PRESSURISED_M else ""
 
 
-def indoors_remark(indoors: Sequence[str], compartment: str) -> str:
-    """What is said of barometers that do not follow the height; "" without any.
+def indoors_remark(indoors: Sequence[str], cabin_barometers: str) -> str:
+    """Remark on barometers that do not follow the height; "" if there are none.
 
-    ``compartment`` names them if they may be in a pressurised cabin.
+    ``cabin_barometers`` names them if the flight is so high that they may be in a pressurised
+    cabin, else it is "".
     """
     if not indoors:
         return ""
-    if compartment:
-        return f"{compartment} is in a closed compartment: it does not follow the height"
+    if cabin_barometers:
+        return f"{cabin_barometers} is in a closed compartment: it does not follow the height"
     return (
         f"{', '.join(indoors)} is not used: it does not follow the height. The flight is below "
         f"{LOWEST_PRESSURISED_M:.0f} m, where a second barometer is usually a spare of the "
-        "autopilot, so no window is proposed; behind a pressurised window write "
-        "window: {cabin: log} under cameras.<name>"
+        "autopilot, so no window is proposed; if the camera looks through the window of a "
+        "pressurised cabin, write window: {cabin: log} under cameras.<name>"
     )
 
 

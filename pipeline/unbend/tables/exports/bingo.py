@@ -17,7 +17,7 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import messages
 from unbend.tables.exports.export_frames import ExportFrame, PixelFrame
-from unbend.tables.exports.exported_block import ExportedBlock, block_of, note_all_written
+from unbend.tables.exports.exported_block import ExportedBlock, add_counts_of_block, block_of
 from unbend.tables.exports.format import (
     PIXEL_UM,
     ExportFormat,
@@ -57,7 +57,7 @@ def short_names(names: Sequence[str], kind: str) -> list[str]:
 def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) -> int:
     """image.dat, and names.csv where names were changed."""
     block = block_of(run, ledger, intersect=False)
-    note_all_written(block, ledger)
+    add_counts_of_block(block, ledger)
     names = {
         "image": [*block.image],
         "camera": [*block.cameras],

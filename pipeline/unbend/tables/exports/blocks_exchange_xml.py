@@ -25,7 +25,7 @@ from unbend.tables.exports.export_frames import (
     angles_of_block,
     block_positions,
 )
-from unbend.tables.exports.exported_block import ExportedBlock, block_of, note_written
+from unbend.tables.exports.exported_block import ExportedBlock, add_counts_written, block_of
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 from unbend.units import Array
 
@@ -49,7 +49,7 @@ def write_blocks_exchange(run: FinishedRun, _: Values, path: Path, ledger: Ledge
     block = block_of(run, ledger)
     single = int(np.sum(block.count[block.point] < 2))
     written = int(block.point.size) - single
-    note_written(block, written, len(block.point_m), ledger)
+    add_counts_written(block, ledger, image_points=written, points=len(block.point_m))
     if single:
         not_written = messages.single_points_not_written(
             where="observations",

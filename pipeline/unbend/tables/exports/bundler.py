@@ -28,9 +28,9 @@ from unbend.tables.exports.export_frames import (
 )
 from unbend.tables.exports.exported_block import (
     ExportedBlock,
+    add_counts_written,
     block_of,
     ideal_coordinates,
-    note_written,
     refuse_names,
 )
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
@@ -45,7 +45,7 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     views_of_point = np.bincount(block.point[np.isfinite(xy[:, 0])], minlength=block.count.size)
     tied = np.flatnonzero(views_of_point > 1)
     written = int(views_of_point[tied].sum())
-    note_written(block, written, tied.size, ledger)
+    add_counts_written(block, ledger, image_points=written, points=tied.size)
     report_unwritten(block, written, ledger)
     with (folder / "bundle.out").open("w", encoding="utf-8") as file:
         file.write(f"# Bundle file v0.3\n{block.image.size} {tied.size}\n")

@@ -40,7 +40,7 @@ from unbend.tables.exports.export_frames import (
     angles_of_block,
     block_positions,
 )
-from unbend.tables.exports.exported_block import ExportedBlock, block_of, note_all_written
+from unbend.tables.exports.exported_block import ExportedBlock, add_counts_of_block, block_of
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from unbend.tables.imports.blocks.colmap import POINT2D
 from unbend.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION_REMOVED
@@ -151,7 +151,7 @@ def point_ids(block: ExportedBlock, folder: Path) -> Integers:
 def write_model(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
     """The three files of a model and, where names are no numbers, points.csv."""
     block = block_of(run, ledger)
-    note_all_written(block, ledger)
+    add_counts_of_block(block, ledger)
     note_cameras(block, ledger)
     ids = point_ids(block, folder)
     tied = len(block.point_m)
@@ -230,7 +230,7 @@ def _write_points(block: ExportedBlock, ids: Integers, path: Path) -> None:
 def write_database(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """The database of a block; the number of keypoints."""
     block = block_of(run, ledger, intersect=False)
-    note_all_written(block, ledger)
+    add_counts_of_block(block, ledger)
     note_cameras(block, ledger)
     source = run.database()
     tables = rows_of_tables(block) | rig_tables(block, source, ledger)

@@ -168,17 +168,28 @@ def block_of(
     return block
 
 
-def note_all_written(block: ExportedBlock, ledger: Ledger) -> None:
-    """Note that a file has all image points of a block."""
-    note_written(block, block.point.size, block.count.size, ledger)
+def add_counts_of_block(block: ExportedBlock, ledger: Ledger) -> None:
+    """Add to the ledger that a written file has all image points of a block."""
+    add_counts_written(
+        block,
+        ledger,
+        image_points=block.point.size,
+        points=block.count.size,
+    )
 
 
-def note_written(block: ExportedBlock, observations: int, points: int, ledger: Ledger) -> None:
-    """Note how many image points, and of how many points, a file has."""
+def add_counts_written(
+    block: ExportedBlock,
+    ledger: Ledger,
+    *,
+    image_points: int,
+    points: int,
+) -> None:
+    """Add to the ledger how many image points, points and images a written file has."""
     ledger.add(
         messages.points_written(
             where="observations",
-            count=observations,
+            count=image_points,
             points=points,
             images=block.image.size,
         )

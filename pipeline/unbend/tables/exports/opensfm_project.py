@@ -28,8 +28,8 @@ from unbend.tables.exports.export_frames import (
 )
 from unbend.tables.exports.exported_block import (
     ExportedBlock,
+    add_counts_of_block,
     block_of,
-    note_all_written,
     refuse_names,
 )
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
@@ -63,7 +63,7 @@ def opensfm_camera(camera: Camera, name: str) -> dict[str, Any]:
 def write_project(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
     """The four files of a project with one reconstruction."""
     block = block_of(run, ledger)
-    note_all_written(block, ledger)
+    add_counts_of_block(block, ledger)
     refuse_names(block.image, r"[\t\r\n]", "OpenSfM")
     ids = point_ids(block, folder)
     cameras = {name: opensfm_camera(camera, name) for name, camera in block.cameras.items()}

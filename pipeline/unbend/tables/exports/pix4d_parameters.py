@@ -24,8 +24,8 @@ from unbend.tables.exports.export_frames import (
 )
 from unbend.tables.exports.exported_block import (
     ExportedBlock,
+    add_counts_of_block,
     block_of,
-    note_all_written,
     refuse_names,
 )
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
@@ -46,7 +46,7 @@ _SCALE = 1.0  # of an image point, which no program here knows
 def write_pix4d(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
     """The four files of a project; the number of image points."""
     block = block_of(run, ledger, intersect=False)
-    note_all_written(block, ledger)
+    add_counts_of_block(block, ledger)
     refuse_names(block.image, r"\s", "Pix4D")
     refuse_names(block.name.to_pylist(), r"\s|^-", "Pix4D")
     stems = [str(PurePosixPath(name).with_suffix("")) for name in block.image.tolist()]
