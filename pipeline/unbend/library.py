@@ -74,8 +74,11 @@ _OPTIONAL_COLUMNS = (
 _COLUMNS_OF_A_RUN = {"profile_id", "status", "q_w"}
 """Columns that together only the stations of a run have."""
 
-_DEFAULT_GROUND: Mapping[str, object] = {"height": {"column": "h_g_m"}, "reference": "msl"}
-"""The section ``ground`` of tables whose caller states nothing of it."""
+_DEFAULT_GROUND_HEIGHT = {"column": "h_g_m"}
+"""The key ``ground.height`` of tables whose caller does not state it."""
+
+_DEFAULT_GROUND_REFERENCE = "msl"
+"""The key ``ground.reference`` where only the default column, or a number, is given."""
 
 _REPLACED_SECTIONS = {"log", "stations", "events", "atmosphere", "output"}
 """Sections of a mission file that tables in memory take the place of."""
@@ -115,7 +118,8 @@ def correct(
     sections : other sections of a mission file, as ``ground={"height": 120.0}``, or
         ``observations={"pixel_origin": "centre"}`` where pixels count from the centre of the first.
         The section ``ground`` has the defaults ``height={"column": "h_g_m"}`` and
-        ``reference="msl"``, which the ledger names (TABLES-DEFAULT).
+        ``reference="msl"``, which the ledger names (TABLES-DEFAULT). The reference of heights from
+        another column or a file must be stated.
 
     Returns a table of the kind of ``observations`` with the columns of a run, the same to the last
     bit, its rows in the order of ``observations``; a DataFrame has their index. ``uncertainty``,
@@ -227,7 +231,23 @@ def ground_section(stated: object) -> object:
     """The section ``ground``: as stated, with defaults for height and reference."""
     if not isinstance(stated, Mapping):
         return stated  # which the model of the mission refuses
-    return {**_DEFAULT_GROUND, **stated}
+    return ground_defaults(stated) | {**stated}
+
+
+def ground_defaults(stated: Mapping[str, object]) -> dict[str, object]:
+    """The keys of the section ``ground`` that defaults give, since they are not ``stated``.
+
+    The reference of another column, of an elevation model or of a table of points has no default:
+    such heights are as often above the ellipsoid, some 50 m from mean sea level.
+    """
+    defaults: dict[str, object] = {}
+    height = stated.get("height", _DEFAULT_GROUND_HEIGHT)
+    if "height" not in stated:
+        defaults["height"] = height
+    has_default_reference = height == _DEFAULT_GROUND_HEIGHT or isinstance(height, int | float)
+    if "reference" not in stated and has_default_reference:
+        defaults["reference"] = _DEFAULT_GROUND_REFERENCE
+    return defaults
 
 
 def messages_of_tables(
@@ -242,8 +262,7 @@ def messages_of_tables(
     run. ``frame`` is the table of stations, its columns named by quantities; ``orientation`` and
     ``sections`` are as the caller stated them.
     """
-    defaults = _DEFAULT_GROUND.keys() - sections.get("ground", {}).keys()
-    if defaults:
+    if ground_defaults(sections.get("ground", {})):
         ground = mission.ground
         yield messages.ground_by_default(
             where="ground",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import struct
 from dataclasses import replace
@@ -23,6 +24,7 @@ from unbend.batch.proposal.log_facts import (
     LogFacts,
     cabin_barometers_of,
     facts_of_log,
+    highest_of,
     indoors_remark,
     place_remark,
 )
@@ -479,14 +481,22 @@ def test_below_2_km_a_second_barometer_proposes_no_window(tmp_path, highest_m):
         (["BARO[1]"], 6000.0, "BARO[1]", "BARO[1] is in a closed compartment"),
         (["BARO[1]"], 2000.0, "BARO[1]", "BARO[1] is in a closed compartment"),
         (["BARO[1]"], 1999.0, "", "BARO[1] is not used: it does not follow the height"),
+        (["BARO[1]"], math.nan, "BARO[1]", "BARO[1] is in a closed compartment"),
     ],
 )
-def test_a_compartment_may_be_a_cabin_from_2_km_on(indoors, highest_m, names, remark):
+def test_a_compartment_may_be_a_cabin_from_2_km_on_or_at_unknown_height(indoors, highest_m, names, remark):
     cabin_barometers = cabin_barometers_of(indoors, highest_m)
     text = indoors_remark(indoors, cabin_barometers)
     assert cabin_barometers == names
     assert text.startswith(remark)
     assert bool(text) == bool(remark)
+
+
+def test_the_highest_height_is_unknown_without_heights():
+    without_heights = channel("position", [0.0, 1.0], h_msl_m=math.nan)
+
+    assert math.isnan(highest_of({}))
+    assert math.isnan(highest_of({"height": without_heights}))
 
 
 @pytest.mark.parametrize(

@@ -223,6 +223,25 @@ def test_a_part_of_the_ground_leaves_the_other_defaults(simple, frame):
     assert "TABLES-DEFAULT" not in codes_of(stated.attrs)
 
 
+@pytest.mark.parametrize(
+    "height",
+    [{"column": "terrain_m"}, {"dem": "dem.tif"}, {"points": "points.csv", "columns": {}}],
+    ids=["column", "dem", "points"],
+)
+def test_heights_of_another_column_or_a_file_need_a_reference(simple, frame, height):
+    frame["terrain_m"] = frame["h_g_m"]
+    with refused("CONFIG-INVALID") as refusal:
+        simple(frame, ground={"height": height})
+    assert "ground.reference: is missing" in str(refusal.value)
+
+
+def test_heights_of_another_column_are_used_as_stated(simple, frame):
+    usual = simple(frame)
+    frame["terrain_m"] = frame["h_g_m"]
+    stated = simple(frame, ground={"height": {"column": "terrain_m"}, "reference": "msl"})
+    assert_frame_equal(stated[CORRECTED], usual[CORRECTED], check_exact=True)
+
+
 def test_what_is_chosen_among_columns_is_said(simple, frame, opk):
     stated = {"ground": {"height": {"column": "h_g_m"}, "reference": "msl"}}
     several = opk.rename(columns={"height": "h_msl_m"}).assign(

@@ -91,9 +91,12 @@ def facts_of_log(path: Path) -> LogFacts:
 def cabin_barometers_of(indoors: Sequence[str], highest_m: float) -> str:
     """The names of barometers that may be in a pressurised cabin; "" for none.
 
-    ``indoors`` are those that do not follow the height, ``highest_m`` is that of the flight.
+    ``indoors`` are those that do not follow the height, ``highest_m`` is that of the flight. A
+    flight of unknown height (NaN) may be high.
     """
-    return ", ".join(indoors) if highest_m >= LOWEST_PRESSURISED_M else ""
+    if highest_m < LOWEST_PRESSURISED_M:
+        return ""
+    return ", ".join(indoors)
 
 
 def indoors_remark(indoors: Sequence[str], cabin_barometers: str) -> str:
@@ -115,12 +118,15 @@ def indoors_remark(indoors: Sequence[str], cabin_barometers: str) -> str:
 
 
 def highest_of(roles: Mapping[str, Channel]) -> float:
-    """The greatest height of a flight [m]; -inf without heights."""
+    """The greatest height of a flight [m]; NaN without heights."""
     height = roles.get("height")
     if height is None or height.height_column is None:
-        return -math.inf
+        return math.nan
     heights_m = height[height.height_column]
-    return float(np.max(heights_m[np.isfinite(heights_m)], initial=-math.inf))
+    known_m = heights_m[np.isfinite(heights_m)]
+    if known_m.size == 0:
+        return math.nan
+    return float(np.max(known_m))
 
 
 def plausible_roles(
