@@ -19,31 +19,6 @@ LOGS = ROOT.parent / "shared" / "logs"
 SIZE = 110_000_000
 SPARE = 128_000_000  # [bytes] beyond the columns
 
-# All anonymous memory of the process, imports included, every 10 ms.
-PRIVATE = """
-import json, sys, threading, time
-from unbend.ingest import open_log
-def private():
-    lines = dict(line.split(":", 1) for line in open("/proc/self/status"))
-    return int(lines["RssAnon"].split()[0]) * 1024
-def watch():
-    while not over.wait(0.01):
-        seen.append(private())
-open_log(sys.argv[1])
-over, seen = threading.Event(), [private()]
-watcher = threading.Thread(target=watch)
-watcher.start()
-begin = time.perf_counter()
-log = open_log(sys.argv[2])
-seconds = time.perf_counter() - begin
-over.set()
-watcher.join()
-columns = sum(c.time_ns.nbytes + c.boot.nbytes + sum(x.nbytes for x in c.columns.values())
-              for c in log.channels)
-print(json.dumps({"private": max(seen), "columns": columns, "seconds": seconds}))
-"""
-
-
 SCAN = """
 import sys
 import numpy as np
@@ -155,7 +130,7 @@ def ended_with(*arguments: object) -> dict[str, float]:
 def test_two_gigabytes_take_one_of_memory(folder: Path, suffix: str, grower: ModuleType, name: str):
     path = folder / f"two{suffix}"
     grower.grow(real(name), path, 2_000_000_000)
-    memory = ended_with("-c", PRIVATE, sample_beside(path), path)
+    memory = ended_with("benchmarks/log_memory.py", "watch", sample_beside(path), path)
     path.unlink()
     print(
         f"{path.name}: {memory['private'] / 1e6:.0f} MB of private memory for "

@@ -2,15 +2,19 @@
 
     python benchmarks/log_memory.py grow LOG OUT MEGABYTES
     python benchmarks/log_memory.py measure SAMPLE LOG [tables]
+    python benchmarks/log_memory.py watch SAMPLE LOG
 
 The first makes a log of so many megabytes of a shorter one. The second prints, as JSON, how much
 more memory than before reading LOG took at most, and the bytes of its columns; a small SAMPLE of
 the same format is read before, so that imports do not count. With `tables` all messages of a
-DataFlash log are read as tables, else channels.
+DataFlash log are read as tables, else channels. The third prints the largest anonymous memory of
+the whole process, imports included, the bytes of the columns and the seconds.
 """
 
 import json
 import sys
+import threading
+import time
 from pathlib import Path
 
 import dataflash
@@ -19,6 +23,8 @@ import tlog
 
 from unbend.ingest import Log, open_log
 from unbend.ingest.dataflash.binary_log import read_tables
+
+_EVERY_S = 0.01
 
 GROWERS = {".bin": dataflash, ".tlog": tlog, ".mcap": ros2_mcap}
 
@@ -66,10 +72,32 @@ def measure(
     return {"more": more, "columns": columns}
 
 
+def watch(sample: Path, log: Path) -> dict[str, float]:
+    """The largest anonymous memory of this process while a log is read, looked at every 10 ms."""
+    open_log(sample)
+    sizes = [status("RssAnon")]
+    over = threading.Event()
+
+    def look():
+        while not over.wait(_EVERY_S):
+            sizes.append(status("RssAnon"))
+
+    watcher = threading.Thread(target=look)
+    watcher.start()
+    begin_s = time.perf_counter()
+    opened = open_log(log)
+    seconds = time.perf_counter() - begin_s
+    over.set()
+    watcher.join()
+    return {"private": max(sizes), "columns": bytes_of_channels(opened), "seconds": seconds}
+
+
 def main(step: str, first: Path, second: Path, *more: str):
-    """One step of the two."""
+    """One step of the three."""
     if step == "grow":
         grow(first, second, int(more[0]))
+    elif step == "watch":
+        print(json.dumps(watch(first, second)))
     else:
         print(json.dumps(measure(first, second, *more)))
 
