@@ -484,7 +484,9 @@ def test_below_2_km_a_second_barometer_proposes_no_window(tmp_path, highest_m):
         (["BARO[1]"], math.nan, "BARO[1]", "BARO[1] is in a closed compartment"),
     ],
 )
-def test_a_compartment_may_be_a_cabin_from_2_km_on_or_at_unknown_height(indoors, highest_m, names, remark):
+def test_a_compartment_may_be_a_cabin_from_2_km_on_or_at_unknown_height(
+    indoors, highest_m, names, remark
+):
     cabin_barometers = cabin_barometers_of(indoors, highest_m)
     text = indoors_remark(indoors, cabin_barometers)
     assert cabin_barometers == names
