@@ -25,6 +25,7 @@ from unbend.config.windows import OpeningSection, WindowSection
 from unbend.errors import PhysicsError
 from unbend.refraction import BrownConrady, Camera, Window
 from unbend.refraction.calibration import (
+    LARGEST_PARAMETER,
     LONGEST_DISTANCE_PX,
     MODELS,
     SHORTEST_DISTANCE_PX,
@@ -38,7 +39,7 @@ from unbend.tables.pixels import ImageFrame, PixelOrigin, PixelSystem
 
 PrincipalDistance = Annotated[float, Field(ge=SHORTEST_DISTANCE_PX, le=LONGEST_DISTANCE_PX)]
 Wavelength = Annotated[float, Field(ge=0.3e-6, le=1.7e-6)]
-Coefficient = Annotated[float, Field(ge=-10, le=10)]
+Coefficient = Annotated[float, Field(ge=-LARGEST_PARAMETER, le=LARGEST_PARAMETER)]
 
 
 class DistortionSection(Section):

@@ -36,6 +36,11 @@ Axes = Literal[
     "down left",
 ]
 
+LARGEST_COEFFICIENT = 10.0
+"""In powers of mm: a sensor of 2 mm needs 1 for a third of distortion; metric cameras 1e-8."""
+
+MetricCoefficient = Annotated[float, Field(ge=-LARGEST_COEFFICIENT, le=LARGEST_COEFFICIENT)]
+
 MILLIMETRES_PER_MICROMETRE = 1e-3
 LARGEST_FIELD_ANGLE_DEG = 80.0  # of a frame camera; beyond it tan grows out of any format
 
@@ -51,43 +56,43 @@ class MetricDistortion(Section):
         ),
         examples=["correction"],
     )
-    k0: float = Field(
+    k0: MetricCoefficient = Field(
         0.0,
         description="radial coefficient of r: dr = r (k0 + k1 r^2 + ...)",
         examples=[2.616e-05],
         json_schema_extra={"unit": "1"},
     )
-    k1: float = Field(
+    k1: MetricCoefficient = Field(
         0.0,
         description="radial coefficient of r^3",
         examples=[-2.295e-09],
         json_schema_extra={"unit": "mm^-2"},
     )
-    k2: float = Field(
+    k2: MetricCoefficient = Field(
         0.0,
         description="radial coefficient of r^5",
         examples=[1.454e-14],
         json_schema_extra={"unit": "mm^-4"},
     )
-    k3: float = Field(
+    k3: MetricCoefficient = Field(
         0.0,
         description="radial coefficient of r^7",
         examples=[0.0],
         json_schema_extra={"unit": "mm^-6"},
     )
-    k4: float = Field(
+    k4: MetricCoefficient = Field(
         0.0,
         description="radial coefficient of r^9",
         examples=[0.0],
         json_schema_extra={"unit": "mm^-8"},
     )
-    p1: float = Field(
+    p1: MetricCoefficient = Field(
         0.0,
         description="decentring: dx = p1 (r^2 + 2 x^2) + 2 p2 x y (not OpenCV's order)",
         examples=[0.0],
         json_schema_extra={"unit": "mm^-1"},
     )
-    p2: float = Field(
+    p2: MetricCoefficient = Field(
         0.0,
         description="decentring: dy = p2 (r^2 + 2 y^2) + 2 p1 x y",
         examples=[0.0],

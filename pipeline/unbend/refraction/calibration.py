@@ -3,9 +3,8 @@
 A model has parameters in pixels; the report of a metric camera is in millimetres.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,6 +47,10 @@ MODELS: Mapping[str, tuple[_Distortion, tuple[str, ...]]] = {
 
 SHORTEST_DISTANCE_PX = 10.0  # a focal length in millimetres is shorter than its image has pixels
 LONGEST_DISTANCE_PX = 1e6
+LARGEST_PARAMETER = 1e15
+"""Of a camera model. The coefficient of r^6 of a lens that sees a tenth of a degree is the largest;
+what a coefficient does to the image is compared by `refuse_impossible`.
+"""
 LARGEST_SIDE_PX = 1_000_000  # of an image, and the farthest that a principal point lies from it
 
 
@@ -66,8 +69,8 @@ def camera_of_model(
     if model not in MODELS:
         raise messages.camera_model(model=model, models=", ".join(MODELS))
     distortion, names = MODELS[model]
-    are_finite = all(map(math.isfinite, parameters))
-    if len(parameters) != len(names) or not are_finite:
+    are_possible = all(abs(value) <= LARGEST_PARAMETER for value in parameters)
+    if len(parameters) != len(names) or not are_possible:
         given = ", ".join(f"{value:g}" for value in parameters)
         raise messages.camera_parameters(
             model=model,
@@ -140,6 +143,14 @@ def model_of_camera(camera: Camera) -> tuple[str, list[float]]:
 LARGEST_FRAME_FIELD_DEG = 150.0
 LARGEST_FISHEYE_FIELD_DEG = 360.0
 
+LARGEST_STRETCH = 2.0
+"""Times that the farthest distance from the principal point grows by a distortion at most.
+
+Pincushion distortions of real lenses are below 1.3; barrel distortions shorten distances.
+"""
+
+_BORDER_POINTS = 9  # on each border of the image, both corners counted
+
 # Where a distortion is looked at: circles about the principal point, and directions from there.
 _CIRCLES = 200
 _AZIMUTHS = 25  # even ones, both ends counted; beside them those of the corners
@@ -171,7 +182,8 @@ def refuse_impossible(camera: Camera) -> None:
     """Refuse (PhysicsError) a camera that cannot be one.
 
     CAMERA-FIELD: a frame camera that sees more than 150 degrees, or a fisheye that sees more than
-    360. CAMERA-TURNS: a distortion that turns back inside the image, so that two directions share a
+    360. CAMERA-DISTORTION: a distortion that more than doubles a distance from the principal point.
+    CAMERA-TURNS: a distortion that turns back inside the image, so that two directions share a
     pixel. Beyond the calibrated radius, and 89.5 degrees off the axis of a fisheye, observations
     have the status outside_camera instead.
     """
@@ -186,7 +198,36 @@ def refuse_impossible(camera: Camera) -> None:
             height_px=camera.height_px,
             seen_deg=seen_deg,
         )
+    _refuse_large_distortion(camera)
     _refuse_turning_distortion(camera)
+
+
+def _refuse_large_distortion(camera: Camera) -> None:
+    """Refuse (PhysicsError CAMERA-DISTORTION) a distortion that moves points absurdly far outwards.
+
+    Looked at where rays to the borders of the image would meet it without a distortion.
+    """
+    without_distortion = replace(camera, distortion=type(camera.distortion)())
+    across = np.linspace(0.0, camera.width_px, _BORDER_POINTS)
+    down = np.linspace(0.0, camera.height_px, _BORDER_POINTS)
+    left = np.zeros(_BORDER_POINTS)
+    x = np.concatenate([across, across, left, left + camera.width_px])
+    y = np.concatenate([left, left + camera.height_px, down, down])
+    u, v, covered = without_distortion.rays(x, y)
+    covered &= np.hypot(u, v) <= camera.largest_radius
+    with np.errstate(all="ignore"):
+        distorted_x, distorted_y = camera.project(u, v)
+        distance_px = np.hypot(x - camera.cx_px, y - camera.cy_px)
+        distorted_px = np.hypot(distorted_x - camera.cx_px, distorted_y - camera.cy_px)
+        is_large = ~(distorted_px <= LARGEST_STRETCH * distance_px) & covered
+    if is_large.any():
+        first = is_large.argmax()
+        raise messages.camera_distortion(
+            x=x[first],
+            y=y[first],
+            distance_px=distance_px[first],
+            distorted_px=distorted_px[first],
+        )
 
 
 def _refuse_turning_distortion(camera: Camera) -> None:

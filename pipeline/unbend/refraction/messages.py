@@ -41,6 +41,38 @@ def angle_wavelength(*, index: str) -> PhysicsError:
     )
 
 
+CAMERA_DISTORTION = Code(
+    "CAMERA-DISTORTION",
+    means="The distortion more than doubles a distance from the principal point.",
+    effect="The mission is refused.",
+    remedy=(
+        "Give the coefficients of distances in units of the principal distance, as COLMAP and "
+        "OpenCV do. Check their order."
+    ),
+)
+
+
+def camera_distortion(
+    *, x: float, y: float, distance_px: float, distorted_px: float
+) -> PhysicsError:
+    """The distortion of a camera is larger than that of any lens."""
+    return PhysicsError(
+        CAMERA_DISTORTION,
+        (
+            "the distortion moves ({x:.0f}, {y:.0f}) px from {distance_px:.0f} to "
+            "{distorted_px:.4g} px from the principal point: no lens has so much"
+        ),
+        x=x,
+        y=y,
+        distance_px=distance_px,
+        distorted_px=distorted_px,
+        remedy=(
+            "check order and unit of the coefficients: distances are in units of the principal "
+            "distance, neither in pixels nor in millimetres"
+        ),
+    )
+
+
 CAMERA_FIELD = Code(
     "CAMERA-FIELD",
     means="With this principal distance, the field of view would be more than 150 degrees.",
