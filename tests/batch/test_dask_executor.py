@@ -20,6 +20,8 @@ from tests.draws import SEED
 from tests.helpers import refused
 from unbend.batch import dask_executor
 from unbend.batch.dask_executor import DaskExecutor
+from unbend.batch.execute import run_many
+from unbend.batch.executors import Outcome
 from unbend.errors import UnbendError
 
 MISSIONS = Path(__file__).with_name("missions.py")
@@ -214,6 +216,20 @@ def test_workers_that_are_killed_cost_no_mission(machines, tmp_path, run):
         files = {path.name for path in results.iterdir()}
         assert files == {".lock", "stations.parquet", "manifest.json"}
         assert (results / "stations.parquet").read_bytes() == name.encode() * 1000
+
+
+def test_a_worker_that_dies_while_it_is_checked_costs_no_mission(machines, tmp_path):
+    """Also in the middle of a command: missions whose workers died are run again after a check."""
+    machines.need_workers(2)
+    (tmp_path / "pace").write_text("0")
+    path = missions_module.KillsWhoLooks(tmp_path / "m0.yaml")
+    path.touch()
+    mission = missions_module.Unread(path)
+
+    ((_, end),) = run_many(missions_module.run_mission, [mission], DaskExecutor(str(machines.file)))
+
+    assert isinstance(end, Outcome), end
+    assert sum(worker.poll() is None for worker in machines.workers) == 1
 
 
 def test_a_scheduler_that_is_killed_costs_no_finished_mission(machines, tmp_path):

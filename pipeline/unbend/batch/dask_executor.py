@@ -50,6 +50,12 @@ _STOP_S = 4.0
 _CHECK_S = 180.0
 """How long a worker may take to say what it has: it imports the program first, maybe from afar."""
 
+_LEAVE_S = 5.0
+"""How long a scheduler may take to notice that a worker has ended, whose connection broke."""
+
+_LEAVE_PAUSE_S = 0.2
+"""Between two looks whether it has."""
+
 _LOOK_S = 30.0
 """Without the end of a mission for so long, it is asked whether the workers still answer."""
 
@@ -308,7 +314,8 @@ def check_workers(
     """Refuse workers that would not do what this process does, and a scheduler without workers.
 
     Refused are workers with other versions (WORKER-VERSION), or that cannot see one of the mission
-    ``files`` (WORKER-FILES).
+    ``files`` (WORKER-FILES), or that do not answer (SCHEDULER-WORKERS). A worker that ends during
+    the check is none.
     """
     question = pickle.dumps(partial(about_worker, files))
     workers = sorted(within(_CHECK_S, client.nthreads))
@@ -320,6 +327,8 @@ def check_workers(
         if worker not in reports:
             raise messages.worker_silent(worker=worker, seconds=_CHECK_S)
     for worker, report in sorted(reports.items()):
+        if isinstance(report, OSError) and has_left(client, worker):
+            continue
         if not isinstance(report, tuple):  # `about_worker` failed; the last line says why
             text = report.traceback if isinstance(report, Bug) else str(report)
             raise messages.worker_unable(worker=worker, error=text.strip().split("\n")[-1])
@@ -327,6 +336,16 @@ def check_workers(
         refuse_other_versions(worker, versions, versions_there)
         if missing:
             raise messages.files_not_seen(worker=worker, first=missing[0], count=len(missing))
+
+
+def has_left(client: Any, worker: str) -> bool:
+    """Whether the scheduler no longer has a worker, or loses it within some seconds."""
+    limit = time.monotonic() + _LEAVE_S
+    while worker in within(_CHECK_S, client.nthreads):
+        if time.monotonic() > limit:
+            return False
+        time.sleep(_LEAVE_PAUSE_S)
+    return True
 
 
 def refuse_other_versions(
