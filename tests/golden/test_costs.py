@@ -81,6 +81,7 @@ class Toy(NamedTuple):
 
 
 Parameters = Toy
+MODELS = {"TOY": ("f", "cx", "cy", "k")}
 
 
 def distort(u: Any, v: Any, parameters: Toy) -> Any:
@@ -101,11 +102,18 @@ def largest_radius(parameters: Toy) -> float:
 CAMERA_USED = """
 import numpy as np
 import unbend
-from unbend.refraction import Camera, Exposures
-from unbend.refraction.camera.toy import Toy
+from unbend.config.cameras import CameraSection
+from unbend.refraction import Exposures
 from unbend.refraction.ray import rays_by
 
-camera = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0, Toy(0.05))
+section = CameraSection(
+    width_px=1000,
+    height_px=800,
+    model="TOY",
+    params=[900.0, 500.0, 400.0, 0.05],
+    calibration="laboratory",
+)
+camera = section.interior_orientation
 x, y = np.array([510.0, 950.0]), np.array([410.0, 60.0])
 u, v, covered = camera.rays(x, y)
 assert covered.all()

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from unbend.atmosphere import standard_names
 from unbend.atmosphere.estimate.sensors import SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.soundings.formats import FORMATS
 from unbend.atmosphere.standard import known_names
 from unbend.config.dates import StatedTime, nanoseconds_of_time
 from unbend.config.section import PathText, Section, SectionError, one_of
@@ -24,7 +25,7 @@ class SoundingSection(Section):
         ),
         examples=["sounding.csv"],
     )
-    format: Literal["auto", "igra", "igra_derived", "wyoming_csv", "wyoming_list", "csv"] = Field(
+    format: Literal[("auto", *FORMATS)] = Field(  # type: ignore[valid-type]
         "auto",
         description="format of the file; auto: by its content",
         examples=["auto"],

@@ -5,44 +5,30 @@ A model has parameters in pixels; the report of a metric camera is in millimetre
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from unbend.refraction import messages
-from unbend.refraction.camera import model_of
-from unbend.refraction.camera.brown_conrady import BrownConrady
+from unbend.refraction.camera import DISTORTION_MODELS, model_of
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import LARGEST_ANGLE_RAD, OpenCVFisheye
 from unbend.units import Array, Mask
 
-_Distortion = type[BrownConrady] | type[GeneralFrame] | type[OpenCVFisheye]
 
-# The parameters of a camera without distortion, with one principal distance and with two.
-_SIMPLE = ("f", "cx", "cy")
-_PINHOLE = ("fx", "fy", "cx", "cy")
+def _camera_models() -> dict[str, tuple[Any, tuple[str, ...]]]:
+    """By the name of a camera model: the type of its distortion, and its parameters."""
+    models = {}
+    for module in DISTORTION_MODELS.values():
+        for name, parameters in module.MODELS.items():
+            models[name] = (module.Parameters, parameters)
+    return models
 
-MODELS: Mapping[str, tuple[_Distortion, tuple[str, ...]]] = {
-    "SIMPLE_PINHOLE": (BrownConrady, _SIMPLE),
-    "PINHOLE": (BrownConrady, _PINHOLE),
-    "SIMPLE_RADIAL": (BrownConrady, (*_SIMPLE, "k1")),
-    "RADIAL": (BrownConrady, (*_SIMPLE, "k1", "k2")),
-    "OPENCV": (BrownConrady, (*_PINHOLE, "k1", "k2", "p1", "p2")),
-    "FULL_OPENCV": (
-        GeneralFrame,
-        (*_PINHOLE, "k1", "k2", "py", "px", "k3", "q1", "q2", "q3"),
-    ),
-    "SIMPLE_FISHEYE": (OpenCVFisheye, _SIMPLE),
-    "FISHEYE": (OpenCVFisheye, _PINHOLE),
-    "SIMPLE_RADIAL_FISHEYE": (OpenCVFisheye, (*_SIMPLE, "k1")),
-    "RADIAL_FISHEYE": (OpenCVFisheye, (*_SIMPLE, "k1", "k2")),
-    "OPENCV_FISHEYE": (OpenCVFisheye, (*_PINHOLE, *OpenCVFisheye._fields)),
-    # Not COLMAP's: what its models lack.
-    "BROWN": (BrownConrady, (*_PINHOLE, *BrownConrady._fields)),
-    "GENERAL_FRAME": (GeneralFrame, (*_PINHOLE, *GeneralFrame._fields)),
-}
-"""By name: the distortion, and the names of the parameters in COLMAP's order."""
+
+MODELS = _camera_models()
+"""By name: the type of the distortion, and the names of the parameters in COLMAP's order."""
 
 
 SHORTEST_DISTANCE_PX = 10.0  # a focal length in millimetres is shorter than its image has pixels

@@ -23,6 +23,7 @@ from unbend.errors import storage_errors
 from unbend.flight.stations import Stations, station_columns
 from unbend.refraction.image import Corrections
 from unbend.refraction.status_codes import STATUS_NAMES
+from unbend.refraction.uncertainty.sigmas import Sigmas
 from unbend.tables.observations import Batch
 from unbend.tables.pixels import PixelSystem
 from unbend.tables.schemas import PROFILE_COLUMNS, STATION_COLUMNS, schema_of
@@ -51,11 +52,14 @@ def points_wkb(lon_deg: Array, lat_deg: Array, h_ellipsoid_m: Array) -> list[byt
 
 
 def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
-    """An Arrow table; NaN and NaT become null, a column that is missing is null throughout."""
+    """An Arrow table; NaN and NaT become null, None is a column that is null throughout.
+
+    A column of the schema that is not in ``columns`` is a KeyError.
+    """
     rows = len(next(iter(columns.values())))
     arrays = []
     for item in schema:
-        values = columns.get(item.name)
+        values = columns[item.name]
         has_gaps = True
         if isinstance(values, np.ndarray) and values.dtype.kind == "f":
             # Most columns have no gap, some nothing else: a look takes less than a bit a row.
@@ -78,7 +82,9 @@ def table_of_observations(
     x = pixels.from_colmap(corrections.x_corrected_px)
     y = pixels.from_colmap(corrections.y_corrected_px)
     names = pa.array(STATUS_NAMES)
-    sigmas = {} if corrections.sigmas is None else corrections.sigmas.named()
+    sigmas: dict[str, Any] = dict.fromkeys(Sigmas.column_names())
+    if corrections.sigmas is not None:
+        sigmas = corrections.sigmas.named()
     columns = {
         "image": batch.image,
         "point": batch.point,

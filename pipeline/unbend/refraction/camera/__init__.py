@@ -1,9 +1,10 @@
 """Cameras: pixels to rays and back. One module for each distortion model.
 
-A model is a module with ``Parameters`` (a named tuple of numbers), ``distort``, ``slopes`` and
-``largest_radius`` like those of `brown_conrady`, and a line in `DISTORTION_MODELS`. ``distort`` and
-``slopes`` take numpy columns and are also compiled: arithmetic and `math` only. The type of a
-camera's parameters names its model, so that each kernel is compiled for each model in use.
+A model is a module with ``Parameters`` (a named tuple of numbers), ``MODELS`` (names of camera
+models in mission files), ``distort``, ``slopes`` and ``largest_radius`` like those of
+`brown_conrady`, and a line in `DISTORTION_MODELS`. ``distort`` and ``slopes`` take numpy columns
+and are also compiled: arithmetic and `math` only. The type of a camera's parameters names its
+model, so that each kernel is compiled for each model in use.
 """
 
 from types import ModuleType

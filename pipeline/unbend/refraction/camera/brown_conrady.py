@@ -23,6 +23,19 @@ class BrownConrady(NamedTuple):
 
 Parameters = BrownConrady
 
+MODELS = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "BROWN": ("fx", "fy", "cx", "cy", *BrownConrady._fields),
+}
+"""Names and parameters of camera models with this distortion, in COLMAP's order.
+
+BROWN, which COLMAP does not have, is the last and has all parameters.
+"""
+
 
 def distort(u: Any, v: Any, parameters: BrownConrady) -> tuple[Any, Any]:
     """Distorted image coordinates of ideal ones.

@@ -44,6 +44,18 @@ class GeneralFrame(NamedTuple):
 
 Parameters = GeneralFrame
 
+MODELS = {
+    "FULL_OPENCV": (
+        *("fx", "fy", "cx", "cy"),
+        *("k1", "k2", "py", "px", "k3", "q1", "q2", "q3"),
+    ),
+    "GENERAL_FRAME": ("fx", "fy", "cx", "cy", *GeneralFrame._fields),
+}
+"""Names and parameters of camera models with this distortion, in COLMAP's order.
+
+GENERAL_FRAME, which COLMAP does not have, is the last and has all parameters.
+"""
+
 
 def distort(u: Any, v: Any, parameters: GeneralFrame) -> tuple[Any, Any]:
     """Distorted image coordinates of ideal ones.

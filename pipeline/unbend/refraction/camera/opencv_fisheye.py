@@ -33,6 +33,16 @@ class OpenCVFisheye(NamedTuple):
 
 Parameters = OpenCVFisheye
 
+MODELS = {
+    "SIMPLE_FISHEYE": ("f", "cx", "cy"),
+    "FISHEYE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
+    "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", *OpenCVFisheye._fields),
+}
+"""Names and parameters of camera models with this distortion, in COLMAP's order; the last has all.
+"""
+
 
 def distort(u: Any, v: Any, parameters: OpenCVFisheye) -> tuple[Any, Any]:
     """Image coordinates behind the lens of ideal ones.

@@ -201,13 +201,17 @@ class Sigmas(NamedTuple):
             values.fill(np.nan)
         return nothing
 
+    @classmethod
+    def column_names(cls) -> list[str]:
+        """The names of columns of tables, in the order of the fields."""
+        names = []
+        for field in cls._fields:
+            names.append(field if field in PARTIALS else f"sigma_{field}")
+        return names
+
     def named(self) -> dict[str, Any]:
         """The arrays by the names of columns of tables."""
-        columns = {}
-        for name, values in self._asdict().items():
-            column = name if name in PARTIALS else f"sigma_{name}"
-            columns[column] = values
-        return columns
+        return dict(zip(self.column_names(), self, strict=True))
 
     def rows(self, which: Rows | slice) -> Sigmas:
         """Some of the rows; those of a slice can be filled."""

@@ -40,7 +40,8 @@ def rows_of_image(
     >>> rows_of_image("a.jpg", [[1, 2], [3, 4]], np.array([17, -1]))["point"].to_pylist()
     ['17', 'a.jpg:1']
     """
-    pixels = np.asarray(xy, np.float64).reshape(-1, 2)
+    with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged file
+        pixels = np.asarray(xy, np.float64).reshape(-1, 2)
     rows = len(pixels)
     if keypoint is None:
         keypoint = np.arange(rows)
