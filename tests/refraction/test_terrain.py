@@ -348,7 +348,8 @@ class CountedTerrain(ArrayTerrain):
 def test_a_ray_that_rises_comes_to_an_end():
     """Cameras beside the terrain, above and below it, all looking 5 degrees above the horizon.
 
-    All but the last leave it before they are higher than any land may be.
+    All but the last two leave it before they are higher than any land may be; the last is so from
+    the beginning.
     """
     terrain = CountedTerrain(
         relief(600, 600, cliffs=False),
@@ -357,13 +358,13 @@ def test_a_ray_that_rises_comes_to_an_end():
         STEP,
         STEP,
     )
-    lat = np.full(4, 46.3)
-    lon = np.array([7.9, 8.6, 8.2, 8.2])
-    height = np.array([2500.0, 2500.0, 2500.0, 50.0])
+    lat = np.full(5, 46.3)
+    lon = np.array([7.9, 8.6, 8.2, 8.2, 8.2])
+    height = np.array([2500.0, 2500.0, 2500.0, 50.0, 9500.0])
     exposures = exposures_at(lat, height, TO_THE_EAST)
-    x = np.full(4, CAMERA.cx_px)
+    x = np.full(5, CAMERA.cx_px)
     above_axis_px = CAMERA.fy_px * np.tan(np.radians(5.0))
-    y = np.full(4, CAMERA.cy_px - above_axis_px)
+    y = np.full(5, CAMERA.cy_px - above_axis_px)
 
     landings = heights_at(
         terrain,
@@ -374,7 +375,7 @@ def test_a_ray_that_rises_comes_to_an_end():
         lon,
     )
 
-    assert landings.status.tolist() == [NO_GROUND] * 3 + [MISSES_GROUND]
+    assert landings.status.tolist() == [NO_GROUND] * 3 + [MISSES_GROUND] * 2
     assert np.isnan(landings.h_m).all()
 
 

@@ -134,11 +134,11 @@ def air_windows(*, hours: float, count: int, sigmas: float, largest: float) -> M
         AIR_WINDOWS,
         (
             "the air changes: {count} windows in {hours:.1f} h, R departs from that of the "
-            "whole flight by up to {largest:.2f} %, {sigmas:.1f} sigma"
+            "whole flight by up to {largest:.2f} %, RMS {sigmas:.1f} sigma"
         ),
         one=(
             "the air changes: 1 window in {hours:.1f} h, R departs from that of the whole"
-            " flight by up to {largest:.2f} %, {sigmas:.1f} sigma"
+            " flight by up to {largest:.2f} %, RMS {sigmas:.1f} sigma"
         ),
         hours=hours,
         count=count,
@@ -162,7 +162,7 @@ def air_windows_one(*, hours: float, total: int, sigmas: float, largest: float) 
         AIR_WINDOWS,
         (
             "one profile for {hours:.1f} h: over {total} windows R changes by {largest:.2f} %"
-            " at most, {sigmas:.1f} sigma"
+            " at most, RMS {sigmas:.1f} sigma"
         ),
         hours=hours,
         total=total,

@@ -261,9 +261,17 @@ def changes_text(corrected: CorrectedMission) -> str:
         moved_px = np.hypot(after.dx_px - before.dx_px, after.dy_px - before.dy_px)
         medians = {}
         for name in np.unique(camera):
-            medians[name] = f"{np.nanmedian(moved_px[camera == name]):.2g}"
+            medians[name] = _median_text(moved_px[camera == name])
         texts.append(f"{label} {_by_camera(medians)} px")
     return "; ".join(texts)
+
+
+def _median_text(moved_px: Array) -> str:
+    """The median of what is known of shifts (n,) [px]."""
+    known_px = moved_px[np.isfinite(moved_px)]
+    if not known_px.size:
+        return "unknown"
+    return f"{np.median(known_px):.2g}"
 
 
 def changed_setups(

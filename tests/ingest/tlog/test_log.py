@@ -9,7 +9,7 @@ from tests.ingest.written_logs import MavlinkWriter, entry_in, restamped
 from unbend.errors import LogError
 from unbend.ingest import open_log
 from unbend.ingest.buffers import view_of_bytes
-from unbend.ingest.tlog.scan import Scan
+from unbend.ingest.tlog.scan import STRETCH, Scan
 
 DEGREE = np.pi / 180.0
 SECOND = 10**9
@@ -260,6 +260,22 @@ def test_a_cut_last_message_costs_no_other(opened):
     assert sum(log.messages.values()) == len(writer.frames) - 1
     assert entry_in(log, "LOG-TRUNCATED").kind == "loss"
     assert log.bad_bytes == 0
+
+
+@pytest.mark.parametrize("beyond", [1, 8, 16, 17])
+def test_a_frame_that_is_cut_just_behind_a_stretch(beyond):
+    """The header of its last frame begins before the end of a stretch and after it is the end."""
+    writer = flight(seconds=2)
+    head = START_US.to_bytes(8, "big") + b"\xfd\x09"
+    begin = STRETCH + beyond - len(head)
+    filling = bytes(begin - len(writer.data))
+    mavlink_map = writer.library.mavlink_map
+    extras = {number: kind.crc_extra for number, kind in mavlink_map.items()}
+
+    whole = Scan(view_of_bytes(writer.data), extras, {})
+    cut = Scan(view_of_bytes(writer.data + filling + head), extras, {})
+
+    assert cut.counts == whole.counts
 
 
 def test_messages_lost_by_the_link_are_counted_by_sequence(opened):

@@ -194,7 +194,7 @@ def _windows_if_significant(
     if departure < SIGNIFICANT:
         constant = messages.air_windows_one(
             hours=hours,
-            total=len(windows),
+            total=len(estimated),
             sigmas=departure,
             largest=largest,
         )

@@ -117,7 +117,7 @@ class Topic:
             decoded = decoder(batch, rows)
             self.failed += rows.shape[0] - len(decoded.rows) - decoded.unparsed
             self.unparsed += decoded.unparsed
-            self.parse_limit = decoded.parse_limit
+            self.parse_limit = max(self.parse_limit, decoded.parse_limit)
             self.odd += decoded.odd
             if not len(decoded.rows):
                 continue

@@ -164,7 +164,7 @@ class Scan(DamagedBytes):
         """Scan the frames that begin in a stretch, behind the last accepted frame."""
         window = self._data.array(begin, stop + LONGEST)
         room = window.shape[0]  # the padding is no room for frames
-        if stop == self._data.size:
+        if begin + room == self._data.size:  # a header may extend beyond the end of the file
             window = _padded(window)
         places = candidates(window, stop - begin)
         places_behind = places[places >= self._end - begin]

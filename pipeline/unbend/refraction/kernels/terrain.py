@@ -351,6 +351,7 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
     while result == _GOES_ON and t < end:
         velocity = velocity_at(path, at)
         if at.height > _SKY_M:
+            state.side[ray] = 1
             t = _after_sky(at, velocity.rise, t, end)
             at = place_at(path, t)
             continue
