@@ -580,6 +580,7 @@ def test_rays_by_a_method_say_why_there_is_no_angle(method):
         (bertram1966, 3000.0, -1000.0, {"h_g": -1001.0}),
         (manual, 0.1, -10.0, {"h_c": 0.0}),
         (manual, 80_500.0, 0.0, {"h_c": 80_501.0}),
+        (manual, 3000.0, -1000.0, {"h_g": -1001.0}),
     ],
 )
 def test_a_method_ends_where_it_ends(method, h_c, h_g, beyond):

@@ -147,7 +147,8 @@ def manual(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by 2410 H / (H^2 - 6 H + 250) - (h / H) 2410 h / (h^2 - 6 h + 250) urad.
 
     Arguments as in `unbend.refraction.published`; ``profile`` is not looked at. H and h are km
-    above sea level. NaN for a camera at or below sea level or above 80.5 km.
+    above sea level. NaN for a camera at or below sea level or above 80.5 km, and for a ground more
+    than 1000 m below it.
 
     A fit to Bertram's table, good above 6 km: against the spherical form at 45 degrees in ARDC 1959
     it reads 25, 22, 13 and 2 % low at 0.5, 1, 3 and 6 km, 5 % high at 10 km, 0 % at 20 km. A
@@ -157,7 +158,7 @@ def manual(profile: Profile, h_c: Array, h_g: Array) -> Array:
     >>> float((manual(None, 6000.0, 0.0, 0.7853981633974483, 0.0) * 1e6).round(2))
     57.84
     """
-    is_usable = (h_c > 0.0) & (h_c <= MANUAL_TOP_M)
+    is_usable = (h_c > 0.0) & (h_c <= MANUAL_TOP_M) & (h_g >= LOWEST_M)
     H = np.where(is_usable, h_c, np.nan) / 1e3
     h = h_g / 1e3
     camera = 2410.0 * H / (H * H - 6.0 * H + 250.0)
