@@ -322,10 +322,17 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
     for name, angles in _ANGLES_OF_COLUMN.items():
         if name in filled:
             section["angles"] = angles
+    frame = stated.get("frame", "geographic")
+    has_places = "latitude" in filled and "longitude" in filled
+    height_key = "z" if frame == "projected" else "height"
     for name, reference in _REFERENCE_OF_HEIGHT.items():
-        if name in filled and "latitude" in filled and "height" not in columns:
-            columns["height"] = name
+        has_height = has_places or frame == "projected"
+        if name in filled and has_height and height_key not in columns:
+            columns[height_key] = name
             section["heights"] = reference
+    if isinstance(frame, Mapping) and has_places:  # angles of one place, positions in degrees
+        columns["latitude"] = "latitude"
+        columns["longitude"] = "longitude"
     section |= stated
     section["columns"] = columns | dict(stated.get("columns", {}))
     section["path"] = "stations"

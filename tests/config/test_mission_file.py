@@ -752,9 +752,9 @@ def test_every_mistake_is_told_at_once_in_the_order_of_the_file(refusal):
 ORIENTATIONS = yaml.safe_load("""
 - ['frame: null', orientation.frame]
 - ['angles: null', orientation.angles]
-- ['heights: null', 'give heights (msl or ellipsoid)']
+- ['heights: null', 'heights is missing: what the heights count from']
 - ['frame: ecef', frame must be geographic]
-- ['{frame: ecef, angles: quaternion, convergence_deg: 0.0, columns: {}}', only then]
+- ['{frame: ecef, angles: quaternion, convergence_deg: 0.0, columns: {}}', remove heights]
 - - '{frame: unknown, angles: quaternion, heights: null, convergence_deg: 0, columns: {}}'
   - 'no vertical, no north and no scale'
 - ['{frame: unknown, angles: quaternion, known_positions: log}', not columns.latitude]

@@ -295,6 +295,10 @@ def test_where_the_calibration_says_nothing_the_verdict_has_the_size(runs, outsi
     values = mission.manifest()
     entry = entry_of(values, "LENS-NOT-REMOVED")
     assert entry["values"]["ppm"] == approx(-expected_ppm(outside), rel=0.02)
+    camera = mission.config["cameras"]["nadir"]
+    half_diagonal_px = 0.5 * math.hypot(camera["width_px"], camera["height_px"])
+    corner_px = 1e-6 * entry["values"]["ppm"] * half_diagonal_px
+    assert entry["values"]["corner_px"] == approx(corner_px)
     manifest = manifest_of(values)
     sentence = verdict(manifest).removeprefix(outcome(manifest)).strip()
     assert sentence.startswith("Not corrected for the air in the lens of nadir, oblique: about ")

@@ -128,7 +128,7 @@ def test_altitudes_of_opensfm_may_be_above_the_sea(block, opensfm):
     """Whether they are has to be said; corrections are those of the same block by COLMAP."""
     without_heights = mission_of("opensfm", "opensfm")
     text = refusal(opensfm, without_heights, "CONFIG-INVALID")
-    assert "give heights (msl or ellipsoid)" in text
+    assert "heights is missing" in text
     mission = mission_of("opensfm", "opensfm", heights="msl")
     mission["mission"]["undulation_m"] = 47.6
     reference = opensfm / "opensfm" / "reference_lla.json"

@@ -2,16 +2,19 @@
 
 import warnings
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal, assert_index_equal
+from pyproj import Proj
 from scipy.spatial.transform import Rotation
 
 import unbend
 from tests.helpers import codes_of, entry_of, refused
+from tests.small_block import enu_axes
 from tests.stages.block_files import CABIN
 from tests.stages.corrected_rows import pressure_alone
 from tests.stages.flown_images import NED_FROM_ENU
@@ -21,6 +24,7 @@ from tests.stages.oriented_tables import (
     PINHOLES,
     PLACE,
     QUATERNION,
+    attitudes,
     columns_of,
 )
 from unbend import correct, standard_atmosphere
@@ -168,6 +172,50 @@ def test_attitudes_in_other_words(simple, baseline, opk):
     for result in results:
         assert (result["status"] == expected["status"]).all()
         assert_allclose(result[CORRECTED], expected[CORRECTED], rtol=0.0, atol=5e-6)
+
+
+@pytest.fixture
+def in_other_frame(baseline):
+    """Stations whose attitudes count from axes (n, 3, 3), rows in east, north, up of each place."""
+
+    def turned(axes_in_enu):
+        table = baseline.station_rows()
+        camera_from_frame = attitudes(table) @ axes_in_enu.transpose(0, 2, 1)
+        quaternion = Rotation.from_matrix(camera_from_frame).as_quat(scalar_first=True)
+        rows = table[["image", "camera", "lat_deg", "lon_deg", "h_msl_m"]].copy()
+        rows[QUATERNION] = quaternion
+        return rows
+
+    return turned
+
+
+def test_stations_in_a_projection_have_a_height_of_that_name(simple, in_other_frame, baseline):
+    table = baseline.station_rows()
+    projection = Proj("EPSG:32632")
+    x, y = projection(table["lon_deg"], table["lat_deg"])
+    convergence = projection.get_factors(table["lon_deg"], table["lat_deg"]).meridian_convergence
+    grid_from_enu = Rotation.from_euler("z", convergence[:, None], degrees=True).as_matrix()
+    stations = in_other_frame(grid_from_enu).drop(columns=["lat_deg", "lon_deg"])
+    stations["x"] = x
+    stations["y"] = y
+
+    result = simple(stations=stations, orientation={"frame": "projected", "crs": "EPSG:32632"})
+
+    assert_allclose(result[CORRECTED], simple()[CORRECTED], rtol=0.0, atol=5e-6)
+
+
+def test_stations_in_degrees_may_have_angles_of_one_local_frame(simple, in_other_frame, baseline):
+    table = baseline.station_rows()
+    origin_from_ecef = enu_axes(46.9, 7.4)
+    axes = []
+    for latitude, longitude in zip(table["lat_deg"], table["lon_deg"], strict=True):
+        axes.append(origin_from_ecef @ enu_axes(latitude, longitude).T)
+    stations = in_other_frame(np.array(axes))
+    origin = {"lat_deg": 46.9, "lon_deg": 7.4, "h_ellipsoid_m": 500.0}
+
+    result = simple(stations=stations, orientation={"frame": {"enu": origin}})
+
+    assert_allclose(result[CORRECTED], simple()[CORRECTED], rtol=0.0, atol=5e-6)
 
 
 def test_a_table_is_answered_by_its_kind(simple, frame):

@@ -375,7 +375,12 @@ class OrientationSection(Section):
         states_heights = self.heights is not None
         if has_heights == states_heights:
             return self
-        mistake = "give heights (msl or ellipsoid) if there is a column of heights, and only then"
+        if states_heights:
+            raise SectionError(
+                "heights is stated, but in this frame x, y and z are the position, without a "
+                "column of heights: remove heights"
+            )
+        mistake = "heights is missing: what the heights count from, msl or ellipsoid"
         if self.of_block:
             mistake += (
                 " (for a block without frame: the reference of the heights that its program was "

@@ -120,8 +120,23 @@ def report_lenses(
             names=names,
             ppm=max(known_ppm),
             sigma_ppm=relative_sigma() * max(known_ppm),
+            corner_px=largest_corner_shift(mission, uncorrected),
         )
     )
+
+
+def largest_corner_shift(mission: Mission, change_ppm: Mapping[str, float]) -> float:
+    """The largest shift [px] of a corner, half a diagonal from the middle, by changes [ppm].
+
+    ``change_ppm`` are changes of principal distances by the name of the camera; NaN is none.
+    """
+    largest_px = 0.0
+    for name, change in change_ppm.items():
+        camera = mission.cameras[name].interior_orientation
+        half_diagonal_px = 0.5 * math.hypot(camera.width_px, camera.height_px)
+        if math.isfinite(change):
+            largest_px = max(largest_px, abs(change) * PPM * half_diagonal_px)
+    return largest_px
 
 
 def relative_sigma() -> float:

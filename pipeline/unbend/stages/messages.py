@@ -958,20 +958,23 @@ def lens_not_removed(*, where: str, count: int, names: str) -> Message:
     )
 
 
-def lens_left_in(*, where: str, count: int, names: str, ppm: float, sigma_ppm: float) -> Message:
+def lens_left_in(
+    *, where: str, count: int, names: str, ppm: float, sigma_ppm: float, corner_px: float
+) -> Message:
     """Cameras whose principal distance is not corrected, and what it would be in a typical lens."""
     return note(
         LENS_NOT_REMOVED,
         (
             "the effect of the air in the lens on the principal distance of {names} is not "
             "removed: about {ppm:.0f} +- {sigma_ppm:.0f} ppm since a calibration at 20 degC and "
-            "1013 hPa"
+            "1013 hPa, which is {corner_px:.2f} px in the corner of an image"
         ),
         where=where,
         count=count,
         names=names,
         ppm=ppm,
         sigma_ppm=sigma_ppm,
+        corner_px=corner_px,
     )
 
 

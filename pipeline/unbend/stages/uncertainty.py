@@ -216,8 +216,8 @@ def missing_sigmas_of_attitudes(mission: Mission, stations: Stations) -> Iterato
             keys += [f"mount.{camera}.{key}" for camera in cameras]
         elif bool(lacking.any()):
             keys.append(f"stations.orientation.{key}")
-    for key in keys:
-        yield f"the attitude ({key})"
+    if keys:
+        yield f"the attitude ({', '.join(keys)})"
 
 
 def missing_sigmas_of_cabins(mission: Mission, stations: Stations) -> Iterator[str]:

@@ -404,7 +404,8 @@ def describe_misses(intersection: Intersection, miss_rad: Array, pixel_rad: floa
     pixels = np.sqrt(np.nanmean(miss_rad**2)) / pixel_rad
     return (
         f"the rays of {points} of {count} tie points miss each other by {pixels:.1f} px (rms). The "
-        "orientations are not adjusted; the refraction of us1976 is removed, that of windows is not"
+        "orientations are not adjusted. For this check alone, the refraction of us1976 is removed "
+        "from the rays, that of windows is not"
     )
 
 
