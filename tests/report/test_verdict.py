@@ -167,6 +167,22 @@ def test_a_typical_lens_is_named_beside_the_cabin(baseline):
     assert not any("sensors in the cabin" in step for step in steps)
 
 
+def test_the_unknown_part_of_a_typical_lens_is_said_where_it_can_be_measured(baseline):
+    """Also without a window, where the share of the cabin's angles is zero."""
+    manifest = baseline.manifest()
+    manifest["cabin_sigma_share"]["median"] = 0.0
+    camera = manifest["air_at_cameras"]["nadir"]
+    size = {"lens_ppm": -157.0, "lens_sigma_ppm": 39.25, "lens_height_m": 0.48}
+    camera |= {"lens_removed": True, "lens_edge_px": 0.201} | size
+    assert remarks_of(manifest) == [
+        "The air in the lens of nadir was removed as that of a typical lens; its unknown part is "
+        "39 ppm of the principal distance (1 sigma), 12 cm of height."
+    ]
+    assert any("state dc_dp_px_per_hpa" in step for step in steps_of(manifest))
+    camera["lens_edge_px"] = 0.199
+    assert remarks_of(manifest) == []
+
+
 def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
     manifest = baseline.manifest()
     manifest["cabin_sigma_share"]["median"] = 0.05

@@ -386,7 +386,7 @@ IN_A = "Not corrected for the air in the lens of a: "
 IN_A_AND_B = "Not corrected for the air in the lens of a, b: "
 SIZE = "about 247 ± 62 ppm of the principal distance"
 HEIGHT = ", 1.5 m of height"
-SINCE = ", since a calibration at 20 °C and 1013 hPa."
+SINCE = ", compared with a calibration at 20 °C and 1013 hPa."
 UNLESS = ", unless the calibration was flown at this height."
 
 

@@ -21,6 +21,7 @@ from unbend.messages import Ledger
 from unbend.tables.observations import open_observations
 from unbend.tables.schemas import OBSERVATION_COLUMNS, PROFILE_COLUMNS, STATION_COLUMNS, schema_of
 from unbend.tables.writing import (
+    table_of,
     table_of_profile,
     table_of_profiles,
     table_of_stations,
@@ -29,6 +30,15 @@ from unbend.tables.writing import (
 
 US = standard_atmosphere("us1976")
 ICAN = standard_atmosphere("ican", index="gyer")
+
+
+def test_a_column_that_nobody_fills_is_an_error():
+    """None fills a column with nulls; a column that is forgotten is no such column."""
+    schema = pa.schema([("a", pa.float64()), ("b", pa.float64())])
+    table = table_of({"a": np.array([1.0, np.nan]), "b": None}, schema)
+    assert table.to_pydict() == {"a": [1.0, None], "b": [None, None]}
+    with pytest.raises(KeyError, match="b"):
+        table_of({"a": np.ones(2)}, schema)
 
 
 def test_the_profile_stands_beside_the_standard():

@@ -452,9 +452,16 @@ def rows_without_field(*, where: str, count: int, fields: Sequence[str]) -> Mess
 
 LOG_DROPOUT = Code(
     "LOG-DROPOUT",
-    means="The logger could not keep up.",
-    effect="Messages of that time are missing.",
-    remedy="Log less, or to a faster card.",
+    means="The logger could not keep up: it dropped messages, and counted them.",
+    effect=(
+        "The log is incomplete. Exposures without a position or an attitude near them are flagged "
+        "(in_gap), the others are as good as ever. A run ends with exit code 3 until it is "
+        "accepted."
+    ),
+    remedy=(
+        "If no image has the status in_gap, accept it with this reason. Next time log less, or to "
+        "a faster card."
+    ),
 )
 
 

@@ -18,7 +18,7 @@ LOSSES_OF_ROWS = (
 OF_SUSPECTS = ("STATIONS-SUSPECT", "STATIONS-HEIGHT", "ORIENTATION-FAR", "ORIENTATION-UP")
 """Codes of what makes stations suspect."""
 
-OF_INCOMPLETE_LOGS = ("LOG-GAP", "LOG-LINK-LOSS")
+OF_INCOMPLETE_LOGS = ("LOG-DROPOUT", "LOG-GAP", "LOG-LINK-LOSS")
 """Findings that messages are missing between the rest of a log, which is no mistake."""
 
 

@@ -68,7 +68,7 @@ def lens_left_in(results: ResultsRecord) -> str:
     if largest.lens_height_m is not None:
         of_height = f", {length(largest.lens_height_m)} of height"
     if any(not lens.calibrated_in_flight for lens in left.values()):
-        since = "since a calibration at 20 °C and 1013 hPa"
+        since = "compared with a calibration at 20 °C and 1013 hPa"
     else:
         since = "unless the calibration was flown at this height"
     return (
@@ -234,7 +234,36 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     cabin = manifest.results.cabin_sigma_share.median
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
         limits.append(_limit_of_cabin(manifest, cabin))
+    else:
+        limits += _limits_of_lenses(manifest.results)
     return limits
+
+
+def _limits_of_lenses(results: ResultsRecord) -> list[tuple[str, str]]:
+    """What lenses that are corrected as typical ones leave uncertain, where it can be measured."""
+    lenses = typical_lenses(results)
+    if not lenses:
+        return []
+    largest = max(lenses.values(), key=_sigma_at_the_edge_px)
+    if _sigma_at_the_edge_px(largest) < SMALLEST_MEASURABLE_PX:
+        return []
+    sigma_ppm = largest.lens_sigma_ppm or 0.0
+    of_height = ""
+    if largest.lens_height_m is not None:
+        share = sigma_ppm / abs(largest.lens_ppm)
+        of_height = f", {length(share * largest.lens_height_m)} of height"
+    text = (
+        f"The air in the lens of {', '.join(lenses)} was removed as that of a typical lens; its "
+        f"unknown part is {sigma_ppm:.2g} ppm of the principal distance (1 sigma){of_height}."
+    )
+    return [(text, lens_step(lenses))]
+
+
+def _sigma_at_the_edge_px(camera: CameraAirRecord) -> float:
+    """The standard deviation [px] of the lens's effect at the edge of the image."""
+    if not camera.lens_ppm or camera.lens_sigma_ppm is None:
+        return 0.0
+    return camera.lens_edge_px * camera.lens_sigma_ppm / abs(camera.lens_ppm)
 
 
 def _limit_of_cabin(manifest: Manifest, share: float) -> tuple[str, str]:

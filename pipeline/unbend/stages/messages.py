@@ -966,8 +966,8 @@ def lens_left_in(
         LENS_NOT_REMOVED,
         (
             "the effect of the air in the lens on the principal distance of {names} is not "
-            "removed: about {ppm:.0f} +- {sigma_ppm:.0f} ppm since a calibration at 20 degC and "
-            "1013 hPa, which is {corner_px:.2f} px in the corner of an image"
+            "removed: about {ppm:.0f} +- {sigma_ppm:.0f} ppm, compared with a calibration at "
+            "20 degC and 1013 hPa, which is {corner_px:.2f} px in the corner of an image"
         ),
         where=where,
         count=count,

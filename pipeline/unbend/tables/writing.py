@@ -183,6 +183,8 @@ def table_of_profile(
         "standard_pressure_pa": standard.pressure(h),
         "standard_vapour_pressure_pa": standard.vapour_pressure(h),
         "standard_refractivity": standard.refractivity(h),
+        "sigma_temperature_k": None,
+        "sigma_refractivity": None,
     }
     covariance = air.covariance
     if covariance is not None:

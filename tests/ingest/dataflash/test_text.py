@@ -114,12 +114,12 @@ NOTHING_DROPPED = [(second, 0) for second in range(5)]
     [(TWO_BOOTS, 2, 65), (STARTS_AGAIN, 1, 59), (NOTHING_DROPPED, 1, 0)],
     ids=["two boots", "the logger starts again within a boot", "nothing dropped"],
 )
-def test_what_the_logger_dropped_is_a_loss_with_its_own_count(opened, counts, boots, lost):
+def test_what_the_logger_dropped_is_a_finding_with_its_own_count(opened, counts, boots, lost):
     log = opened(DROPS + "".join(barometer(*count) for count in counts))
     assert log.boots == boots
     assert log.lost_messages == lost
     dropped = [(entry.kind, entry.count) for entry in with_code(log.ledger, "LOG-DROPOUT")]
-    assert dropped == [("loss", lost)] * bool(lost)
+    assert dropped == [("finding", lost)] * bool(lost)
     assert log.ledger.has_losses == bool(lost)
 
 

@@ -237,7 +237,7 @@ def test_messages_that_pyulog_does_not_know_and_padding(opened):
     assert len(log.channel("vehicle_attitude")) == 20
     assert log.message_types() == {"vehicle_attitude": 20}
     silent = entry_in(log, "LOG-DROPOUT")
-    assert silent.kind == "loss"
+    assert silent.kind == "finding"
     assert silent.count == 3
     assert "0.750 s" in silent.what
     assert log.bad_bytes == 0

@@ -186,7 +186,8 @@ def image_of_series(series: NameSeries, event_numbers: EventNumbers) -> Proposed
             remark += f"; not {series.listed(strays)}"
     else:
         remark = f"numbers and tie points assign {len(series.numbers)} images"
-        if series.has_number:
+        logged = set().union(*event_numbers.values())
+        if series.has_number and not logged.isdisjoint(series.numbers):
             remark += f"; or {series.pattern('index')}, if these are the log's numbers"
     pattern = json.dumps(series.pattern(numbering.field), ensure_ascii=False)
     return Proposed("image", pattern, remark)

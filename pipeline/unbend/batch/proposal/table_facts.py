@@ -109,9 +109,15 @@ def facts_of_table(path: Path) -> TableFacts:
     names = column_names(path)
     guessed = guessed_columns(names)
     keys = proposed_columns(guessed, names)
-    if any(key.value == TODO for key in keys):
-        remark = "its images are not known until columns names the column of the images"
+    unknown = [key.key for key in keys if key.value == TODO]
+    if unknown and unknown != ["point"]:
+        remark = (
+            f"its images are not known yet: {', '.join(unknown)}: no column has a usual name; "
+            "rename them in the header of the table, and run init again"
+        )
         return TableFacts(remark=remark, columns=keys)
+    if unknown:  # images, pixels and heights are read without the names of the points
+        guessed |= {"point": guessed["image"]}
     columns: dict[str, str | None] = {}
     for quantity, name in guessed.items():
         # No name is guessed if the columns cannot be listed; `open_observations` says why.
@@ -147,8 +153,8 @@ def column_names(path: Path) -> list[str]:
 
 def guessed_columns(names: list[str]) -> dict[str, str | None]:
     """The column of each quantity: the one of its name, or of another usual name; or None."""
-    # Of names that differ by their case alone the first one counts.
-    name_of_lower = {name.lower(): name for name in reversed(names)}
+    # Of names that differ by case, blanks and hyphens alone the first one counts.
+    name_of_lower = {re.sub("[ -]+", "_", name.lower()): name for name in reversed(names)}
     columns: dict[str, str | None] = {}
     for quantity, usual_names in words_of_proposals()["columns"].items():
         columns[quantity] = quantity if quantity in names else None

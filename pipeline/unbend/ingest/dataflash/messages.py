@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from unbend.errors import Code, Counted
 from unbend.ingest.messages import LOG_DROPOUT, LOG_FIELDS
-from unbend.messages import Message, fallback, loss, note
+from unbend.messages import Message, fallback, finding, loss, note
 
 LOG_BAD_FORMAT = Code(
     "LOG-BAD-FORMAT",
@@ -121,9 +121,9 @@ def columns_without_field(*, message: str, count: int, columns: Sequence[str]) -
 
 def dropped_by_logger(*, message: str, count: int) -> Message:
     """The logger counted messages that it could not write."""
-    return loss(
+    return finding(
         LOG_DROPOUT,
-        "the logger counted {dropped} that it dropped",
+        "the log is incomplete: the logger counted {dropped} that it dropped",
         where=f"{message}.Dp",
         count=count,
         dropped=Counted(count, "message"),

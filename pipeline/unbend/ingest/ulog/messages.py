@@ -62,9 +62,9 @@ def damaged_values(*, file: str, count: int) -> Message:
 
 def logger_dropouts(*, file: str, count: int, seconds: float) -> Message:
     """The logger reports that it lost data."""
-    return loss(
+    return finding(
         LOG_DROPOUT,
-        "the logger could not keep up {times}, {seconds:.3f} s together",
+        "the log is incomplete: the logger could not keep up {times}, {seconds:.3f} s together",
         where=file,
         count=count,
         times=Counted(count, "time"),
