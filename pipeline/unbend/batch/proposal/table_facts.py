@@ -110,14 +110,15 @@ def facts_of_table(path: Path) -> TableFacts:
     guessed = guessed_columns(names)
     keys = proposed_columns(guessed, names)
     unknown = [key.key for key in keys if key.value == TODO]
-    if unknown and unknown != ["point"]:
+    unused = [name for name in names if name not in guessed.values()]
+    if unknown == ["point"] and unused:  # any column will do to read images, pixels and heights
+        guessed["point"] = unused[0]
+    elif unknown:
         remark = (
             f"its images are not known yet: {', '.join(unknown)}: no column has a usual name; "
             "rename them in the header of the table, and run init again"
         )
         return TableFacts(remark=remark, columns=keys)
-    if unknown:  # images, pixels and heights are read without the names of the points
-        guessed |= {"point": guessed["image"]}
     columns: dict[str, str | None] = {}
     for quantity, name in guessed.items():
         # No name is guessed if the columns cannot be listed; `open_observations` says why.
