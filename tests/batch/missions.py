@@ -33,7 +33,7 @@ class Unread:
         return (str(self.path),)
 
 
-def gone(process: int) -> bool:
+def gone(process):
     """Whether a process has ended."""
     try:
         os.kill(process, 0)

@@ -8,7 +8,6 @@ import re
 import struct
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -53,7 +52,7 @@ ground: {reference: msl}
 """)
 
 
-def keys_of_todo(tree: dict[str, Any]) -> set[str]:
+def keys_of_todo(tree):
     """Where a TODO is, with dots."""
     keys = set()
     for key, value in tree.items():
@@ -64,13 +63,13 @@ def keys_of_todo(tree: dict[str, Any]) -> set[str]:
     return keys
 
 
-def answered(tree: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
+def answered(tree, truth):
     """The tree with the truth in the place of each TODO, and nothing else changed."""
     truth = truth | {"observations": {"refraction": "none"} | truth.get("observations", {})}
     return with_truth(tree, truth)
 
 
-def with_truth(tree: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
+def with_truth(tree, truth):
     answers = {}
     for key, value in tree.items():
         if value == "TODO":
@@ -84,7 +83,7 @@ def with_truth(tree: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
 def todo_of_check(refusal_of):
     """The keys that `check` says are open; it says nothing else."""
 
-    def check(path: Path) -> set[str]:
+    def check(path):
         text = refusal_of("CONFIG-TODO", 2, "check", path)
         keys = re.findall(r"(?:line \d+: )(\S+): still TODO: \w+", text)
         assert len(keys) == text.count("line ")
@@ -93,7 +92,7 @@ def todo_of_check(refusal_of):
     return check
 
 
-def tree_of(path: Path) -> dict[str, Any]:
+def tree_of(path):
     return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
@@ -101,7 +100,7 @@ def tree_of(path: Path) -> dict[str, Any]:
 def proposed(obeyed):
     """The text that `init` proposes for a log and other words."""
 
-    def propose(*words: object) -> str:
+    def propose(*words):
         return obeyed("init", *words, "--out", "-")
 
     return propose
@@ -111,7 +110,7 @@ def proposed(obeyed):
 def table(mission):
     """Writes the measurements as a CSV with other names of columns; its path."""
 
-    def write(**columns: str) -> Path:
+    def write(**columns):
         path = mission.folder / "o.csv"
         rows = measured_rows(mission)
         rows.rename(columns=columns).to_csv(path, index=False)
@@ -231,13 +230,13 @@ def test_images_with_local_times_ask_for_the_time_zone(mission, proposed, tmp_pa
     assert tree["events"]["images"]["time_zone"] == "TODO"
 
 
-def events(name: str, first: int, last: int) -> Channel:
+def events(name, first, last) -> Channel:
     """A channel of exposures with these numbers in the log."""
     numbers = np.arange(first, last + 1)
     return channel(name, numbers, "events", event_index=numbers)
 
 
-def names(prefix: str, first: int, last: int) -> tuple[str, ...]:
+def names(prefix, first, last):
     return tuple(f"{prefix}{number:04d}.tif" for number in range(first, last + 1))
 
 
@@ -373,7 +372,7 @@ BLOCK = {"path": "project", "format": "opensfm", "refraction": "TODO"}
 
 
 @pytest.fixture
-def beginnings(tmp_path, monkeypatch) -> Path:
+def beginnings(tmp_path, monkeypatch):
     """The current folder: a log, and a project with images."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "flight.ulg").write_bytes(flight())
@@ -430,7 +429,7 @@ def test_names_of_files_do_not_break_the_yaml(mission, proposed, tmp_path):
         assert section["image"].format(index=1) in set(rows["image"])
 
 
-def tlog_with_a_still_barometer(path: Path, highest_m: float) -> Path:
+def tlog_with_a_still_barometer(path, highest_m):
     """A .tlog of a climb from 500 m, of which SCALED_PRESSURE2 is always 955 hPa."""
     rows = []
     for second in range(300):

@@ -91,7 +91,7 @@ def stream(tmp_path_factory) -> tuple[Any, CorrectionSetup]:
     return open_observations(path, COLUMNS, None, Ledger()), setup
 
 
-def tree(folder: Path) -> dict[str, str]:
+def tree(folder):
     """Everything in a folder but its lock, by content."""
     hashes = {}
     for path in folder.rglob("*"):
@@ -101,12 +101,12 @@ def tree(folder: Path) -> dict[str, str]:
     return hashes
 
 
-def receipts_in(out: Path) -> list[Path]:
+def receipts_in(out):
     """The receipts of the parts that a run has finished."""
     return sorted((out / ".staging" / "receipts").glob("part-*.parquet"))
 
 
-def run(stream, out: Path, key: str = "key", batch_rows: int = BATCH_ROWS, **options) -> None:
+def run(stream, out, key="key", batch_rows=BATCH_ROWS, **options):
     """A run that is a correction and nothing else; its manifest holds all that was counted."""
     observations, setup = stream
     with open_folder(out) as folder:
@@ -128,13 +128,7 @@ def run(stream, out: Path, key: str = "key", batch_rows: int = BATCH_ROWS, **opt
 class Disk:
     """Counts what a run does to the disk; from a step on, or once, that goes wrong."""
 
-    def __init__(
-        self,
-        patch: pytest.MonkeyPatch,
-        wrong: BaseException | None = None,
-        at: int = -1,
-        lasting: bool = False,
-    ):
+    def __init__(self, patch, wrong=None, at=-1, lasting=False):
         self.steps = 0
         self.parts = 0
         self.failed = False
@@ -147,10 +141,10 @@ class Disk:
         self._wrap(patch, store.shutil, "rmtree")
         self._wrap(patch, pq, "write_table")
 
-    def _wrap(self, patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
+    def _wrap(self, patch, owner, name):
         original = getattr(owner, name)
 
-        def called(*words: Any, **options: Any) -> Any:
+        def called(*words, **options):
             self.steps += 1
             self.parts += name == "write_table"
             if (self.failed and self._lasting) or self.steps == self._at:
@@ -165,7 +159,7 @@ class Disk:
 
 
 @pytest.fixture(scope="module")
-def untouched(stream, tmp_path_factory) -> tuple[dict[str, str], int]:
+def untouched(stream, tmp_path_factory):
     """The results of a run that nothing stopped, and how many steps it took on the disk."""
     out = tmp_path_factory.mktemp("untouched")
     with pytest.MonkeyPatch.context() as patch:
@@ -175,7 +169,7 @@ def untouched(stream, tmp_path_factory) -> tuple[dict[str, str], int]:
     return tree(out), disk.steps
 
 
-def drawn_steps(steps: int, count: int = 6) -> list[int]:
+def drawn_steps(steps, count=6):
     """Steps at which something goes wrong; with UNBEND_KILLS=all every one."""
     every = range(1, steps + 1)
     if os.environ.get("UNBEND_KILLS") == "all":
@@ -241,10 +235,10 @@ def test_a_disk_that_refuses_leaves_what_is_finished(stream, untouched, tmp_path
         assert tree(out) == whole, (step, SEED)
 
 
-def stopped_after(stream, out: Path, parts: int, **options: Any) -> None:
+def stopped_after(stream, out, parts, **options):
     """A run that is stopped after some of its parts."""
 
-    def check() -> None:
+    def check():
         if len(receipts_in(out)) >= parts:
             raise KeyboardInterrupt
 
@@ -252,7 +246,7 @@ def stopped_after(stream, out: Path, parts: int, **options: Any) -> None:
         run(stream, out, check=check, **options)
 
 
-def parts_made(stream, out: Path, **options: Any) -> int:
+def parts_made(stream, out, **options):
     """How many parts a run makes."""
     with pytest.MonkeyPatch.context() as patch:
         disk = Disk(patch)
@@ -272,28 +266,28 @@ def test_parts_of_another_key_are_made_again(stream, untouched, tmp_path, other)
     assert tree(tmp_path) == untouched[0]
 
 
-def flip_a_bit(path: Path, other: Path) -> None:
+def flip_a_bit(path, other):
     content = bytearray(path.read_bytes())
     place = random.Random(SEED).randrange(len(content) * 8)
     content[place // 8] ^= 1 << place % 8
     path.write_bytes(content)
 
 
-def cut_short(path: Path, other: Path) -> None:
+def cut_short(path, other):
     path.write_bytes(path.read_bytes()[:-1])
 
 
-def swap(path: Path, other: Path) -> None:
+def swap(path, other):
     content = path.read_bytes()
     path.write_bytes(other.read_bytes())
     other.write_bytes(content)
 
 
-def copy_other(path: Path, other: Path) -> None:
+def copy_other(path, other):
     shutil.copy(other, path)
 
 
-def remove(path: Path, other: Path) -> None:
+def remove(path, other):
     path.unlink()
 
 
@@ -322,11 +316,11 @@ def test_a_part_that_was_damaged_meanwhile_is_made_again(
 
 def test_a_receipt_runs_nothing(tmp_path):
     class Hostile:
-        def __reduce__(self) -> Any:
+        def __reduce__(self):
             return (os.mkdir, (str(tmp_path / "made"),))
 
     class Ours:
-        def __reduce__(self) -> Any:
+        def __reduce__(self):
             return (store.sync_folder, (tmp_path / "nowhere",))
 
     for hostile in (Hostile(), Ours(), np.array([Hostile()], object)):

@@ -10,13 +10,12 @@ import hashlib
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from tests.conftest import MissionFolder
 
-MACHINES: dict[str, dict[str, str]] = {
+MACHINES = {
     "hash seed 1, New York": {"PYTHONHASHSEED": "1", "TZ": "America/New_York"},
     "hash seed 2, Kathmandu": {"PYTHONHASHSEED": "2", "TZ": "Asia/Kathmandu"},
     "hash seed 3, Turkish": {
@@ -39,7 +38,7 @@ ALL = os.environ.get("UNBEND_MACHINES") == "all"
 TRIED = list(MACHINES) if ALL else list(MACHINES_OF_EACH_TEST_RUN)
 
 
-def hashes_of_results(folder: Path) -> dict[str, str]:
+def hashes_of_results(folder):
     """SHA-256 of each table of a run, by its name."""
     hashes = {}
     for path in folder.rglob("*.parquet"):
@@ -48,7 +47,7 @@ def hashes_of_results(folder: Path) -> dict[str, str]:
     return hashes
 
 
-def run_in_process(mission: MissionFolder, *options: str, **environment: str) -> None:
+def run_in_process(mission: MissionFolder, *options, **environment):
     """Run a mission in a process of its own, with variables of its environment."""
     done = subprocess.run(
         [sys.executable, "-m", "unbend", "run", mission.save(), *options],

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pyarrow as pa
 import pytest
@@ -115,7 +114,7 @@ SIGNALS = int(os.environ.get("UNBEND_SIGNALS", "4"))
 LONGEST_RUN_S = 6.0  # of the simulated mission on a machine that has nothing else to do
 
 
-def visible(folder: Path) -> dict[str, str]:
+def visible(folder):
     """Hash of each result; of the manifest without the times of the inputs, which settle first."""
     hashes = {}
     for path in folder.rglob("*"):
@@ -132,7 +131,7 @@ def visible(folder: Path) -> dict[str, str]:
     return hashes
 
 
-def finished_parts(folder: Path) -> int:
+def finished_parts(folder):
     """How many parts an interrupted run left to be taken up; nothing else is there."""
     staging = folder / ".staging"
     assert {path.name for path in folder.iterdir()} == {".lock", ".staging"}
@@ -144,12 +143,12 @@ def finished_parts(folder: Path) -> int:
     return len(parts)
 
 
-def stalled(mission, step: str, mode: str = "after") -> subprocess.Popen[str]:
+def stalled(mission, step, mode="after"):
     """A run in a process of its own that waits in the middle of a step."""
     return started(STALLING, step, mode, mission.save())
 
 
-def process_of(code: str, *words: object) -> subprocess.Popen[str]:
+def process_of(code, *words):
     """A process of Python that hears Ctrl-C."""
     return subprocess.Popen(
         [sys.executable, "-c", HEARING + code, *map(str, words)],
@@ -159,7 +158,7 @@ def process_of(code: str, *words: object) -> subprocess.Popen[str]:
     )
 
 
-def started(code: str, *words: object) -> subprocess.Popen[str]:
+def started(code, *words):
     """A process that has said it waits to be hit."""
     process = process_of(code, *words)
     assert process.stdout is not None
@@ -169,7 +168,7 @@ def started(code: str, *words: object) -> subprocess.Popen[str]:
     raise AssertionError(process.communicate()[1])
 
 
-def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+def ended(process):
     """The exit code of a process, and what it wrote."""
     try:
         out, err = process.communicate(timeout=LIMIT_S)

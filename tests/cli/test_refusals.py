@@ -15,7 +15,7 @@ from unbend.batch.store import open_folder
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 
-def refused(ended, code: str, exit_code: int = 6) -> str:
+def refused(ended, code, exit_code=6):
     """The words of a refusal, after its form was checked."""
     assert ended.code == exit_code, ended.text
     assert "Traceback" not in ended.text
@@ -26,7 +26,7 @@ def refused(ended, code: str, exit_code: int = 6) -> str:
     return ended.err
 
 
-def accepted(ended, exit_code: int) -> str:
+def accepted(ended, exit_code):
     """The summary of a mission that ran."""
     assert ended.code == exit_code, ended.text
     assert ended.err == ""
@@ -71,7 +71,7 @@ def test_a_value_that_does_not_fit_the_inputs(mission, change, code, words):
 # ---- the log
 
 
-def spoil(mission, name: str, content: bytes):
+def spoil(mission, name, content):
     (mission.folder / name).write_bytes(content)
     mission.config["log"]["path"] = name
 

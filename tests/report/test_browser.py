@@ -8,7 +8,6 @@ import json
 import os
 import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,7 +40,7 @@ def browser():
         running.close()
 
 
-def with_model_and_flagged_rows(mission) -> Path:
+def with_model_and_flagged_rows(mission):
     """A mission on an elevation model that covers a part of it, with rows that are no use."""
     lon_deg = np.degrees(FIELD_LON_RAD) + 0.061
     lat_deg = np.degrees(FIELD_LAT_RAD) + 0.019
@@ -59,7 +58,7 @@ def with_model_and_flagged_rows(mission) -> Path:
     return mission.output
 
 
-def without_log(mission, baseline) -> Path:
+def without_log(mission, baseline):
     """A mission whose stations are a table, in the air of a standard."""
     for section in ("log", "mount", "events"):
         del mission.config[section]
@@ -80,14 +79,14 @@ def without_log(mission, baseline) -> Path:
     return mission.output
 
 
-def sample(folder: Path) -> Path:
+def sample(folder):
     """The sample mission of a log of ArduPilot."""
     sections = sample_sections("bin", folder / "sample")
     return run_mission(write_mission(folder / "sample.yaml", **sections)).output
 
 
 @pytest.fixture(scope="module")
-def runs(mission_factory, baseline, tmp_path_factory) -> dict[str, Path]:
+def runs(mission_factory, baseline, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     return {
         "sample": sample(folder),
@@ -255,11 +254,10 @@ def test_the_page_says_what_the_manifest_says(runs, browser, name):
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.goto((runs[name] / "report.html").resolve().as_uri())
 
-    def rows(section: str) -> list[list[str]]:
-        found: list[list[str]] = page.locator(f"#{section} > table tbody tr").evaluate_all(
+    def rows(section):
+        return page.locator(f"#{section} > table tbody tr").evaluate_all(
             "all => all.map(row => [...row.cells].map(cell => cell.innerText.trim()))"
         )
-        return found
 
     assert page.title().startswith(manifest["mission"])
     statuses = manifest["observations"]["status"]
