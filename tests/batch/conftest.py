@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 
 import pyarrow as pa
@@ -17,6 +18,16 @@ def measured_rows(mission: MissionFolder):
 def observe(mission: MissionFolder, rows):
     """Make a data frame the observations of the mission."""
     mission.observe(pa.Table.from_pandas(rows, preserve_index=False))
+
+
+def hashes_in(folder, pattern="*"):
+    """SHA-256 by name of each file in a folder but its lock."""
+    hashes = {}
+    for path in folder.rglob(pattern):
+        if path.is_file() and path.name != ".lock":
+            name = path.relative_to(folder).as_posix()
+            hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashes
 
 
 def flip_a_byte(path):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
 import os
 import random
 import shutil
@@ -38,6 +37,8 @@ from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.observations import open_observations
+
+from .conftest import hashes_in
 
 ROWS = 950
 BATCH_ROWS = 100
@@ -89,16 +90,6 @@ def stream(tmp_path_factory) -> tuple[Any, CorrectionSetup]:
         np.zeros(3, np.int64),
     )
     return open_observations(path, COLUMNS, None, Ledger()), setup
-
-
-def tree(folder):
-    """Everything in a folder but its lock, by content."""
-    hashes = {}
-    for path in folder.rglob("*"):
-        if path.is_file() and path.name != ".lock":
-            name = path.relative_to(folder).as_posix()
-            hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return hashes
 
 
 def receipts_in(out):
@@ -166,7 +157,7 @@ def untouched(stream, tmp_path_factory):
         disk = Disk(patch)
         run(stream, out)
     assert disk.parts == PARTS
-    return tree(out), disk.steps
+    return hashes_in(out), disk.steps
 
 
 def drawn_steps(steps, count=6):
@@ -204,7 +195,7 @@ def test_a_run_that_is_killed_goes_on_where_it_was(
         parts = parts_made(stream, out)
         if not committed:
             assert parts == PARTS - finished, (step, SEED)
-        assert tree(out) == whole, (step, SEED)
+        assert hashes_in(out) == whole, (step, SEED)
 
 
 @pytest.mark.parametrize("lasting", [True, False], ids=["lasting", "once"])
@@ -224,7 +215,7 @@ def test_a_disk_that_refuses_leaves_what_is_finished(stream, untouched, tmp_path
             assert steps - 2 * MOST_THREADS <= disk.steps < step, (step, SEED)
             continue
         if refusal is None:  # while it cleaned up: then all was done
-            assert {*tree(out)} >= {*whole}, (step, SEED)
+            assert {*hashes_in(out)} >= {*whole}, (step, SEED)
         else:
             assert os.strerror(number) in refusal.what, (step, SEED)
             manifest = read_manifest(out)  # which is the last but for what cleans up
@@ -232,7 +223,7 @@ def test_a_disk_that_refuses_leaves_what_is_finished(stream, untouched, tmp_path
         if not lasting:
             assert not [*out.rglob("*.draft")], (step, SEED)
         run(stream, out)
-        assert tree(out) == whole, (step, SEED)
+        assert hashes_in(out) == whole, (step, SEED)
 
 
 def stopped_after(stream, out, parts, **options):
@@ -263,7 +254,7 @@ def test_parts_of_another_key_are_made_again(stream, untouched, tmp_path, other)
     stopped_after(stream, tmp_path, 4, **other)
     assert receipts_in(tmp_path)
     assert parts_made(stream, tmp_path) == PARTS
-    assert tree(tmp_path) == untouched[0]
+    assert hashes_in(tmp_path) == untouched[0]
 
 
 def flip_a_bit(path, other):
@@ -311,7 +302,7 @@ def test_a_part_that_was_damaged_meanwhile_is_made_again(
     damage(files / receipts[0].name, files / receipts[1].name)
     missing = PARTS - len(receipts)
     assert parts_made(stream, tmp_path) == missing + made_again, SEED
-    assert tree(tmp_path) == untouched[0]
+    assert hashes_in(tmp_path) == untouched[0]
 
 
 def test_a_receipt_runs_nothing(tmp_path):
