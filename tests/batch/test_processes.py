@@ -152,7 +152,7 @@ def test_a_signal_stops_all_and_begins_nothing(mission_factory, tmp_path, number
         text=True,
         env=os.environ | {"DEAF": deaf},
     )
-    assert process.stderr is not None  # a worker's standard output is for its receipts alone
+    # A worker's standard output is for its receipts alone.
     workers = [int(process.stderr.readline().split()[1]) for _ in range(2)]
     process.send_signal(number)
     out, err = process.communicate(timeout=300)  # the step itself takes 600 s

@@ -69,18 +69,16 @@ def test_a_stopped_process_costs_its_mission_one_attempt(tmp_path, impatient):
 @linux
 def test_a_process_that_goes_on_in_time_is_not_killed(impatient):
     process = MissionProcess(1)
-    future = process.submit(partial(time.sleep, 0))  # type: ignore[arg-type]
+    future = process.submit(partial(time.sleep, 0))
     assert process.end(future) is None
-    assert process._process is not None
     number = process._process.pid
-    assert number is not None
     for _ in range(3):
         os.kill(number, signal.SIGSTOP)
         wait_until(partial(is_stopped, number))
         process.kill_if_stopped()
         os.kill(number, signal.SIGCONT)
         process.kill_if_stopped()
-    assert process.end(process.submit(partial(time.sleep, 0))) is None  # type: ignore[arg-type]
+    assert process.end(process.submit(partial(time.sleep, 0))) is None
     stop_all([process])
 
 
@@ -111,7 +109,6 @@ def holder(tmp_path):
         stdout=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout is not None
     assert process.stdout.readline() == "held\n"
     yield process
     process.kill()
@@ -171,7 +168,7 @@ def test_a_question_has_a_limit_and_its_errors_are_raised():
     blocked.set()
     assert within(None, blocked.wait) is True
     with pytest.raises(ZeroDivisionError):
-        within(60.0, lambda: 1 // 0)  # type: ignore[arg-type]
+        within(60.0, lambda: 1 // 0)
 
 
 def test_a_stopped_mission_that_stops_again_is_refused_with_the_reason():
@@ -180,5 +177,5 @@ def test_a_stopped_mission_that_stops_again_is_refused_with_the_reason():
             for mission in tasks:
                 yield mission, Lost(processes.way_of_death(-9, was_stopped=True))
 
-    ((_, end),) = run_many(print, [MissionRef(Path("m.yaml"))], Stopping())  # type: ignore[arg-type]
+    ((_, end),) = run_many(print, [MissionRef(Path("m.yaml"))], Stopping())
     assert str(end).count("stopped (SIGSTOP) for 60 s, so it was killed") == 2
