@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import re
-import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from tests.helpers import channel
 from tests.ingest.ulog.test_log import flight
+from tests.ingest.written_logs import MavlinkWriter
 from tests.logs import LOGS, at_hand
 from unbend.batch.proposal import mission_text
 from unbend.batch.proposal.log_facts import (
@@ -431,32 +430,27 @@ def test_names_of_files_do_not_break_the_yaml(mission, proposed, tmp_path):
 
 def tlog_with_a_still_barometer(path, highest_m):
     """A .tlog of a climb from 500 m, of which SCALED_PRESSURE2 is always 955 hPa."""
-    rows = []
+    writer = MavlinkWriter()
     for second in range(300):
         height_m = 500.0 + (highest_m - 500.0) * min(second / 200.0, 1.0)
         pressure_hpa = 1013.25 * (1.0 - 2.25577e-5 * height_m) ** 5.25588
-        rows += [
-            mavlink.MAVLink_gps_raw_int_message(
-                time_usec=1_000_000 * second,
-                fix_type=3,
-                lat=474_000_000 + 100 * second,
-                lon=85_000_000,
-                alt=round(1000.0 * height_m),
-                eph=100,
-                epv=100,
-                vel=0,
-                cog=0,
-                satellites_visible=12,
-            ),
-            mavlink.MAVLink_scaled_pressure_message(1000 * second, pressure_hpa, 0.0, 2000),
-            mavlink.MAVLink_scaled_pressure2_message(1000 * second, 955.0, 0.0, 2000),
-        ]
-    sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    log = bytearray()
-    for number, message in enumerate(rows):
-        log += struct.pack(">Q", 1_748_000_000_000_000 + 300_000 * number) + message.pack(sender)
-        sender.seq = (sender.seq + 1) % 256
-    path.write_bytes(log)
+        host_us = 1_748_000_000_000_000 + 900_000 * second
+        writer.send(
+            "gps_raw_int",
+            host_us,
+            time_usec=1_000_000 * second,
+            fix_type=3,
+            lat=474_000_000 + 100 * second,
+            lon=85_000_000,
+            alt=round(1000.0 * height_m),
+            eph=100,
+            epv=100,
+            satellites_visible=12,
+        )
+        air = {"time_boot_ms": 1000 * second, "temperature": 2000}
+        writer.send("scaled_pressure", host_us + 300_000, press_abs=pressure_hpa, **air)
+        writer.send("scaled_pressure2", host_us + 600_000, press_abs=955.0, **air)
+    path.write_bytes(writer.data)
     return path
 
 
