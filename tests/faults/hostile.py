@@ -130,6 +130,12 @@ def beside_air(definitions, rows):
     return mcap(AIR + pressures(30) + definitions + chunk(rows))
 
 
+def before_a_pressure(definitions, content):
+    """A log of a message whose wanted field stands behind this content; compressed."""
+    content = padded(content, 8) + pack("<d", 9e4)
+    return beside_air(definitions, message(2, 0, CDR + content))
+
+
 def elements_of_bytes(n):
     """Three sequences of n elements of two bytes each, before the wanted field; compressed."""
     fields = "a/Pair[] a\na/Pair[] b\na/Pair[] c\nfloat64 fluid_pressure\n"
@@ -140,9 +146,8 @@ def elements_of_bytes(n):
     content = stamped(0)
     for _ in range(3):
         content = padded(content, 4) + pack("<I", n) + bytes(2 * n)
-    content = padded(content, 8) + pack("<d", 9e4)
     # messages longer than 64 KiB are not kept whole: many shorter ones cost the same
-    return beside_air(definitions, message(2, 0, CDR + content))
+    return before_a_pressure(definitions, content)
 
 
 def elements_of_texts(n):
@@ -151,8 +156,7 @@ def elements_of_texts(n):
     definitions = stamped_schema(2, FLUID_PRESSURE, fields)
     definitions += channel(2, 2, "/words", "cdr")
     content = stamped(0) + pack("<I", n) + bytes(4 * n)
-    content = padded(content, 8) + pack("<d", 9e4)
-    return beside_air(definitions, message(2, 0, CDR + content))
+    return before_a_pressure(definitions, content)
 
 
 def new_keys(n):
