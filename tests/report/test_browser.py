@@ -96,6 +96,13 @@ def runs(mission_factory, baseline, tmp_path_factory):
     }
 
 
+def opened(browser, run, **options):
+    """The report of a run on a page of its own."""
+    page = browser.new_page(**options)
+    page.goto((run / "report.html").resolve().as_uri())
+    return page
+
+
 # Elements that stand out of the screen or of their drawing, and texts that do not fit theirs.
 LOOK = """() => {
   const wide = document.documentElement.clientWidth, out = [], seen = e => e.checkVisibility();
@@ -182,8 +189,7 @@ def test_nothing_is_wider_than_the_screen(runs, browser, name):
 
 @pytest.mark.parametrize("name", ["sample", "model"])
 def test_a_drawing_has_a_text_in_its_place_and_follows_the_colours(runs, browser, name):
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.goto((runs[name] / "report.html").resolve().as_uri())
+    page = opened(browser, runs[name], viewport={"width": 1280, "height": 900})
     labels = page.locator("figure > svg:visible").evaluate_all(
         "all => all.map(e => [e.getAttribute('role'), (e.getAttribute('aria-label') || '').length])"
     )
@@ -202,8 +208,8 @@ def test_a_drawing_has_a_text_in_its_place_and_follows_the_colours(runs, browser
 
 
 def test_on_paper_no_head_is_left_alone_and_nothing_is_cut(runs, browser, tmp_path):
-    page = browser.new_page(viewport={"width": 680, "height": 900}, color_scheme="dark")
-    page.goto((runs["model"] / "report.html").resolve().as_uri())
+    size = {"width": 680, "height": 900}
+    page = opened(browser, runs["model"], viewport=size, color_scheme="dark")
     page.emulate_media(media="print", color_scheme="dark")
     assert page.evaluate(LOOK) == []
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
@@ -233,8 +239,7 @@ def test_heads_and_page_numbers_on_paper(browser, mission_factory, unbend, tmp_p
     named = mission_factory(tmp_path / "named")
     named.config["mission"] |= {"title": 'Los "3" </style> \\2', "client": "Amt für Geo"}
     named.run_to_manifest()
-    page = browser.new_page()
-    page.goto((named.output / "report.html").resolve().as_uri())
+    page = opened(browser, named.output)
     heads = {(selector, name): content for selector, name, content in page.evaluate(HEADS)}
     assert json.loads(heads["", "top-left"]) == 'Los "3" </style> \\2'
     assert heads["", "top-right"] == '"Amt für Geo"'
@@ -251,8 +256,7 @@ def test_heads_and_page_numbers_on_paper(browser, mission_factory, unbend, tmp_p
 def test_the_page_says_what_the_manifest_says(runs, browser, name):
     """As a reader sees it; `test_page` has each cell of a page."""
     manifest = json.loads((runs[name] / "manifest.json").read_text("utf-8"))
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.goto((runs[name] / "report.html").resolve().as_uri())
+    page = opened(browser, runs[name], viewport={"width": 1280, "height": 900})
 
     def rows(section):
         return page.locator(f"#{section} > table tbody tr").evaluate_all(
