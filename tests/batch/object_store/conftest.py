@@ -17,6 +17,7 @@ from urllib.request import urlopen
 
 import pytest
 
+from unbend.batch import remote
 from unbend.batch.object_store import Place, open_store
 
 pytest.importorskip("obstore")
@@ -184,6 +185,17 @@ def make_bucket(environment, name):
     }
     url = f"{environment['AZURITE_BLOB_STORAGE_URL']}/{account}/{name}?restype=container"
     urlopen(Request(url, method="PUT", headers=headers), timeout=30)
+
+
+def shift_clock(patch, difference):
+    """Let the clock of this machine be ahead of that of the stores."""
+
+    class Shifted(remote.datetime):
+        @classmethod
+        def now(cls, zone=None):
+            return super().now(zone) + difference
+
+    patch.setattr(remote, "datetime", Shifted)
 
 
 def environment_of(scheme, url):

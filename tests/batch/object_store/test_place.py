@@ -18,7 +18,7 @@ from unbend.batch.plan import located
 from unbend.batch.remote import RemoteInput, fetch, look_up, read_manifest
 from unbend.errors import UnbendError
 
-from .conftest import READER, S3, environment_of, free_port
+from .conftest import READER, S3, environment_of, free_port, shift_clock
 
 SECRET = "hunter2"
 
@@ -185,12 +185,7 @@ def test_a_store_that_is_not_there(s3_place, use, seaweed):
 
 
 def test_a_clock_that_is_off(s3_place, monkeypatch):
-    class Later(remote.datetime):
-        @classmethod
-        def now(cls, zone=None):
-            return super().now(zone) - timedelta(minutes=20)
-
-    monkeypatch.setattr(remote, "datetime", Later)
+    shift_clock(monkeypatch, timedelta(minutes=-20))
     assert refusal(remote.rehearse, s3_place, writes=True).code == "CLOUD-CLOCK"
     assert s3_place.objects() == {}
 

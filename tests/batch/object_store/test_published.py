@@ -22,6 +22,8 @@ from unbend.batch.results import verify_run
 from unbend.errors import OutputInUseError, StorageError
 from unbend.tables.manifest.whole import Manifest
 
+from .conftest import shift_clock
+
 RACES = int(os.environ.get("UNBEND_RACES", "4"))
 
 
@@ -164,13 +166,8 @@ def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend, 
     assert text == "1 upload of the last hour kept: --recent also removes them\n"
     assert set(s3_place.objects()) == everything
 
-    class Later(remote.datetime):
-        @classmethod
-        def now(cls, zone=None):
-            return super().now(zone) + timedelta(hours=2)
-
     with monkeypatch.context() as patch:
-        patch.setattr(remote, "datetime", Later)
+        shift_clock(patch, timedelta(hours=2))
         ended = unbend("verify", s3_place, "--remove-leftovers", "--json")
     assert json.loads(ended.out) == {"removed": [f"{s3_place}/one/attempts/{'0' * 32}/"], "kept": 0}
     assert set(s3_place.objects()) == everything - {orphan}
