@@ -16,7 +16,7 @@ MAKERS = {
 }
 
 
-def code(name: str) -> Code:
+def code(name) -> Code:
     return Code(name, means="It happened.", effect="None.", remedy="Nothing.")
 
 

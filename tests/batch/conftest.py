@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections.abc import Callable
-from pathlib import Path
 
-import pandas as pd
 import pyarrow as pa
 import pytest
 
 from tests.conftest import MissionFolder
 
 
-def measured_rows(mission: MissionFolder) -> pd.DataFrame:
+def measured_rows(mission: MissionFolder):
     return mission.measurements().to_pandas()
 
 
-def observe(mission: MissionFolder, rows: pd.DataFrame) -> None:
+def observe(mission: MissionFolder, rows):
     """Make a data frame the observations of the mission."""
     mission.observe(pa.Table.from_pandas(rows, preserve_index=False))
 
 
-def flip_a_byte(path: Path) -> None:
+def hashes_in(folder, pattern="*"):
+    """SHA-256 by name of each file in a folder but its lock."""
+    hashes = {}
+    for path in folder.rglob(pattern):
+        if path.is_file() and path.name != ".lock":
+            name = path.relative_to(folder).as_posix()
+            hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashes
+
+
+def flip_a_byte(path):
     """Change one byte, in the middle of a file."""
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
@@ -30,10 +38,10 @@ def flip_a_byte(path: Path) -> None:
 
 
 @pytest.fixture
-def obeyed(unbend) -> Callable[..., str]:
+def obeyed(unbend):
     """Runs a command that must end with an exit code, by default 0; what it prints."""
 
-    def run(*words: object, exit_code: int = 0) -> str:
+    def run(*words, exit_code=0):
         ended = unbend(*words)
         assert ended.code == exit_code, ended.text
         return ended.out
@@ -42,10 +50,10 @@ def obeyed(unbend) -> Callable[..., str]:
 
 
 @pytest.fixture
-def refusal_of(unbend) -> Callable[..., str]:
+def refusal_of(unbend):
     """Runs a command that must be refused with a code; what it says."""
 
-    def run(code: str, exit_code: int, *words: object) -> str:
+    def run(code, exit_code, *words):
         ended = unbend(*words)
         assert ended.code == exit_code, ended.text
         assert "Traceback" not in ended.text

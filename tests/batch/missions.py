@@ -47,7 +47,7 @@ class KillsWhoLooks(type(Path())):
         return True
 
 
-def gone(process: int) -> bool:
+def gone(process):
     """Whether a process has ended."""
     try:
         os.kill(process, 0)

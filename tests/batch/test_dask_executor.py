@@ -36,13 +36,13 @@ RUNS = int(os.environ.get("UNBEND_CLUSTER_KILLS", "1"))
 class Machines:
     """A scheduler and its workers, which hear on this machine only and have no dashboard."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder = folder
         self.file = folder / "scheduler.json"
         self.workers: list[subprocess.Popen[bytes]] = []
         self.start_scheduler()
 
-    def start(self, program: str, *words: str) -> subprocess.Popen[bytes]:
+    def start(self, program, *words):
         path = os.pathsep.join([str(MISSIONS.parent), *sys.path])
         options = ("--scheduler-file", str(self.file), "--host", "127.0.0.1", "--no-dashboard")
         settings = {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__HTTP__ROUTES": "[]"}
@@ -55,16 +55,16 @@ class Machines:
                 cwd=self.folder,
             )
 
-    def start_scheduler(self) -> None:
+    def start_scheduler(self):
         self.file.unlink(missing_ok=True)
         self.scheduler = self.start("scheduler", "--port", "0")
         wait_until(lambda: self.file.exists() and self.file.read_text())
 
-    def need_workers(self, count: int) -> None:
+    def need_workers(self, count):
         while sum(worker.poll() is None for worker in self.workers) < count:
             self.start_worker()
 
-    def start_worker(self) -> None:
+    def start_worker(self):
         before = self.registered()
         self.workers.append(
             self.start(
@@ -76,11 +76,11 @@ class Machines:
         )
         wait_until(lambda: self.registered() > before)  # which takes long on a busy machine
 
-    def registered(self) -> int:
+    def registered(self):
         """How many workers have said that the scheduler knows them."""
         return (self.folder / "output.txt").read_text().count("Registered to:")
 
-    def stop(self) -> None:
+    def stop(self):
         for process in (*self.workers, self.scheduler):
             process.kill()
             process.wait()
@@ -94,12 +94,7 @@ def machines(tmp_path_factory) -> Iterator[Machines]:
     of_tests.stop()
 
 
-def started(
-    machines: Machines,
-    folder: Path,
-    *names: str,
-    pace: float = 0.0,
-) -> subprocess.Popen:
+def started(machines, folder, *names, pace=0.0):
     folder.mkdir(exist_ok=True)
     (folder / "pace").write_text(str(pace))
     for name in names:
@@ -113,12 +108,12 @@ def started(
     )
 
 
-def ends_of(process: subprocess.Popen) -> dict[str, str]:
+def ends_of(process):
     """How each mission ended."""
     return {name: word for name, word, _ in told_by(process)}
 
 
-def told_by(process: subprocess.Popen) -> list[list[str]]:
+def told_by(process):
     """Name of each mission, how it ended and the text of that; nothing else may have been said."""
     out, err = process.communicate(timeout=LIMIT_S)
     assert err == ""
@@ -126,7 +121,7 @@ def told_by(process: subprocess.Popen) -> list[list[str]]:
     return [json.loads(line) for line in out.splitlines()]
 
 
-def beginnings(folder: Path) -> list[list[str]]:
+def beginnings(folder):
     """Name and process of each mission that began, in their order."""
     file = folder / "begun"
     if not file.exists():
@@ -134,12 +129,12 @@ def beginnings(folder: Path) -> list[list[str]]:
     return [line.split(" ") for line in file.read_text().splitlines()]
 
 
-def begun(folder: Path) -> list[str]:
+def begun(folder):
     """The missions that began, in their order."""
     return [name for name, _ in beginnings(folder)]
 
 
-def refusal(scheduler: str, mission: Path = MISSIONS) -> str:
+def refusal(scheduler, mission=MISSIONS):
     """What is said before any work."""
     tasks = {missions_module.Unread(mission): missions_module.run_mission}
     with pytest.raises(UnbendError) as caught:
@@ -198,7 +193,7 @@ def test_workers_that_are_killed_cost_no_mission(machines, tmp_path, run):
     for _ in range(kills):
         before = len(begun(tmp_path))
 
-        def another_began(before: int = before) -> bool:
+        def another_began(before=before):
             return len(begun(tmp_path)) > before or process.poll() is not None
 
         wait_until(another_began)

@@ -1,7 +1,5 @@
 """The report as a file to hand over. Browsers are small programs that do what real ones may do."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat
@@ -28,7 +26,7 @@ printf '%%PDF-1.4\\n' > "$out"; cat "${page#file://}" >> "$out"; printf '\\n%%%%
 """
 
 
-def browser(folder: Path, script: str) -> str:
+def browser(folder, script):
     path = folder / "browser"
     path.write_text("#!/bin/sh\n" + script, encoding="utf-8")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
@@ -71,7 +69,7 @@ def test_of_results_at_a_url_the_time_is_that_of_the_object(monkeypatch):
     written = datetime(2026, 7, 1, 10, 0, tzinfo=UTC)
     asked = []
 
-    def head(place: Place) -> dict[str, datetime]:
+    def head(place):
         asked.append(str(place))
         return {"last_modified": written}
 

@@ -1,7 +1,5 @@
 """`status`: what would run, and why."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 
@@ -20,7 +18,7 @@ def done(mission, monkeypatch, tmp_path):
     return mission
 
 
-def reasons(mission) -> list[str]:
+def reasons(mission):
     return mission_status(mission.save())[1]
 
 

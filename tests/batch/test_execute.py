@@ -37,14 +37,14 @@ def test_a_broken_mission_file_shares_nothing(mission_factory, tmp_path):
     assert select_missions(files).refused == {}
 
 
-def missions_named(*names: str) -> list[MissionRef]:
+def missions_named(*names) -> list[MissionRef]:
     return [MissionRef(Path(f"{name}.yaml")) for name in names]
 
 
 def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
     begun = []
 
-    def run_mission(mission: MissionRef, /, *, progress: object = None) -> Outcome:
+    def run_mission(mission: MissionRef, /, *, progress=None) -> Outcome:
         path = mission.path
         begun.append((path.stem, progress))
         if path.stem == "buggy":
@@ -54,7 +54,7 @@ def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
         return Outcome(path.stem, path, None, 0, False)
 
     @contextlib.contextmanager
-    def bar(name: str):
+    def bar(name):
         yield f"bar of {name}"
 
     missions = missions_named("buggy", "refused", "b", "a")
@@ -122,7 +122,7 @@ def test_a_scheduler_that_is_not_there_is_said_once(unbend, mission_factory, tmp
 
 
 def test_interrupts_of_the_user_pass_through():
-    def run_mission(mission: MissionRef, /, *, progress: object = None) -> Outcome:
+    def run_mission(mission: MissionRef, /, *, progress=None) -> Outcome:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -1,7 +1,5 @@
 """The fingerprint of a mission: nothing that a number depends on is missing."""
 
-from __future__ import annotations
-
 import ast
 import platform
 import sys
@@ -34,7 +32,7 @@ NO_NUMBERS = {
 }
 
 
-def imported(path: Path) -> set[str]:
+def imported(path):
     """The names of the top-level packages that a module imports, anywhere in it."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -57,7 +55,7 @@ def test_every_library_is_known():
             assert names & listed, f"{path} imports {name}"
 
 
-def fingerprint_now(mission) -> str:
+def fingerprint_now(mission):
     return make_plan(load_mission(mission.save()), mission.folder).fingerprint
 
 

@@ -7,7 +7,6 @@ import json
 import shutil
 from dataclasses import dataclass, fields
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -38,7 +37,7 @@ pytestmark = pytest.mark.usefixtures("plain_report")
 def export(unbend, tmp_path):
     """Exports a run to a file of the test's own; the file and how it ended."""
 
-    def make(run: Path, name: str, *options: object):
+    def make(run, name, *options):
         ending = "csv" if name.endswith("csv") else "parquet"
         out = tmp_path / f"out.{ending}"
         return out, unbend(
@@ -58,7 +57,7 @@ def export(unbend, tmp_path):
 def lattice(export):
     """Exports the lattice of a run: its rows, and what was said in one line."""
 
-    def make(run: Path, *options: object, exit_code: int = 0) -> tuple[pd.DataFrame, str]:
+    def make(run, *options, exit_code=0):
         out, ended = export(run, "lattice", "--force", *options)
         assert ended.code == exit_code, ended.text
         return pd.read_parquet(out), " ".join(ended.out.split())
@@ -67,14 +66,14 @@ def lattice(export):
 
 
 @pytest.fixture
-def copied(baseline, tmp_path) -> Path:
+def copied(baseline, tmp_path):
     """The results of the mission, which a test may spoil."""
     run = tmp_path / "run"
     shutil.copytree(baseline.output, run)
     return run
 
 
-def bilinear(grid: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
+def bilinear(grid, points):
     """Interpolation as another program would do it: (n, 2) shifts at these points."""
     xs = np.unique(grid["x_px"])
     ys = np.unique(grid["y_px"])
@@ -150,7 +149,7 @@ def test_the_ground_is_the_median_of_each_image(baseline, lattice):
     assert rows["h_g_m"].tolist() == heights[rows["image"]].tolist()
 
 
-def median_heights(mission) -> pd.Series:
+def median_heights(mission):
     """Of the ground in the observations of each image."""
     return mission.result_rows().groupby("image")["h_g_m"].median()
 
@@ -370,7 +369,7 @@ def test_nothing_is_written_among_the_results(copied, refusal_of, tmp_path, plac
     assert contents(copied) == before
 
 
-def contents(folder: Path) -> dict[Path, bytes]:
+def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -378,12 +377,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
 def export_refused(export):
     """Exports a run, which must be refused and write nothing; what is said."""
 
-    def make(
-        run: Path,
-        name: str,
-        code: str,
-        exit_code: int,
-    ) -> str:
+    def make(run, name, code, exit_code):
         out, ended = export(run, name)
         assert ended.code == exit_code
         assert ended.err.startswith(f"{code}: ")
@@ -403,23 +397,23 @@ def test_a_damaged_run_is_not_exported(copied, export_refused):
     export_refused(copied, "lattice", "VERIFY-DAMAGED", 5)
 
 
-def warp_camera(manifest, run) -> None:
+def warp_camera(manifest, run):
     manifest["config"]["cameras"]["nadir"]["warp"] = 1
 
 
-def remove_mission(manifest, run) -> None:
+def remove_mission(manifest, run):
     del manifest["config"]
 
 
-def distort_camera(manifest, run) -> None:
+def distort_camera(manifest, run):
     manifest["config"]["cameras"]["nadir"]["distortion"]["k1"] = 0.01
 
 
-def change_method(manifest, run) -> None:
+def change_method(manifest, run):
     manifest["config"]["refraction"]["method"] = "manual"
 
 
-def raise_stations(manifest, run) -> None:
+def raise_stations(manifest, run):
     """Stations 1 m higher, and the manifest with them: as of another version of the program."""
     stations = run / "stations.parquet"
     table = pq.read_table(stations)
@@ -459,7 +453,7 @@ def test_a_run_that_displaced_observations(mission, export_refused):
 
 
 def test_a_disk_that_fills_up_leaves_nothing(baseline, export, monkeypatch):
-    def full(*_: object, **__: object) -> None:
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
@@ -479,17 +473,13 @@ class Step:
 class Steps:
     """Progress that keeps its steps."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.done: list[Step] = []
 
-    def start(
-        self,
-        step: str,
-        total: int | None = None,
-    ) -> None:
+    def start(self, step, total=None):
         self.done.append(Step(step, total))
 
-    def advance(self, count: int) -> None:
+    def advance(self, count):
         self.done[-1].finished += count
 
 

@@ -1,10 +1,7 @@
 """Inputs that are unchanged by size and time are not read; a change of either is seen."""
 
-from __future__ import annotations
-
 import os
 import time
-from pathlib import Path
 
 import pytest
 
@@ -18,11 +15,11 @@ from .conftest import flip_a_byte
 
 
 @pytest.fixture
-def reads(monkeypatch) -> list[Path]:
+def reads(monkeypatch):
     """The files that are read for their hashes."""
-    paths: list[Path] = []
+    paths = []
 
-    def hash_and_record(path: Path) -> str:
+    def hash_and_record(path):
         paths.append(path)
         return hash_file(path)
 
@@ -31,14 +28,14 @@ def reads(monkeypatch) -> list[Path]:
     return paths
 
 
-def settle(mission) -> None:
+def settle(mission):
     """Let the inputs be written a minute ago, for a clock that runs a minute ahead."""
     for path in mission.folder.iterdir():
         if path.is_file():
             date(path)
 
 
-def date(path: Path) -> None:
+def date(path):
     past_s = time.time() - 60
     os.utime(path, (past_s, past_s))
 

@@ -5,19 +5,17 @@ from __future__ import annotations
 import io
 import math
 import re
-import struct
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from tests.helpers import channel
 from tests.ingest.ulog.test_log import flight
+from tests.ingest.written_logs import MavlinkWriter
 from tests.logs import LOGS, at_hand
 from unbend.batch.proposal import mission_text
 from unbend.batch.proposal.log_facts import (
@@ -53,7 +51,7 @@ ground: {reference: msl}
 """)
 
 
-def keys_of_todo(tree: dict[str, Any]) -> set[str]:
+def keys_of_todo(tree):
     """Where a TODO is, with dots."""
     keys = set()
     for key, value in tree.items():
@@ -64,13 +62,13 @@ def keys_of_todo(tree: dict[str, Any]) -> set[str]:
     return keys
 
 
-def answered(tree: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
+def answered(tree, truth):
     """The tree with the truth in the place of each TODO, and nothing else changed."""
     truth = truth | {"observations": {"refraction": "none"} | truth.get("observations", {})}
     return with_truth(tree, truth)
 
 
-def with_truth(tree: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
+def with_truth(tree, truth):
     answers = {}
     for key, value in tree.items():
         if value == "TODO":
@@ -84,7 +82,7 @@ def with_truth(tree: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
 def todo_of_check(refusal_of):
     """The keys that `check` says are open; it says nothing else."""
 
-    def check(path: Path) -> set[str]:
+    def check(path):
         text = refusal_of("CONFIG-TODO", 2, "check", path)
         keys = re.findall(r"(?:line \d+: )(\S+): still TODO: \w+", text)
         assert len(keys) == text.count("line ")
@@ -93,7 +91,7 @@ def todo_of_check(refusal_of):
     return check
 
 
-def tree_of(path: Path) -> dict[str, Any]:
+def tree_of(path):
     return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
@@ -101,7 +99,7 @@ def tree_of(path: Path) -> dict[str, Any]:
 def proposed(obeyed):
     """The text that `init` proposes for a log and other words."""
 
-    def propose(*words: object) -> str:
+    def propose(*words):
         return obeyed("init", *words, "--out", "-")
 
     return propose
@@ -111,7 +109,7 @@ def proposed(obeyed):
 def table(mission):
     """Writes the measurements as a CSV with other names of columns; its path."""
 
-    def write(**columns: str) -> Path:
+    def write(**columns):
         path = mission.folder / "o.csv"
         rows = measured_rows(mission)
         rows.rename(columns=columns).to_csv(path, index=False)
@@ -245,13 +243,13 @@ def test_images_with_local_times_ask_for_the_time_zone(mission, proposed, tmp_pa
     assert tree["events"]["images"]["time_zone"] == "TODO"
 
 
-def events(name: str, first: int, last: int) -> Channel:
+def events(name, first, last) -> Channel:
     """A channel of exposures with these numbers in the log."""
     numbers = np.arange(first, last + 1)
     return channel(name, numbers, "events", event_index=numbers)
 
 
-def names(prefix: str, first: int, last: int) -> tuple[str, ...]:
+def names(prefix, first, last):
     return tuple(f"{prefix}{number:04d}.tif" for number in range(first, last + 1))
 
 
@@ -388,7 +386,7 @@ BLOCK = {"path": "project", "format": "opensfm", "refraction": "TODO"}
 
 
 @pytest.fixture
-def beginnings(tmp_path, monkeypatch) -> Path:
+def beginnings(tmp_path, monkeypatch):
     """The current folder: a log, and a project with images."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "flight.ulg").write_bytes(flight())
@@ -445,34 +443,29 @@ def test_names_of_files_do_not_break_the_yaml(mission, proposed, tmp_path):
         assert section["image"].format(index=1) in set(rows["image"])
 
 
-def tlog_with_a_still_barometer(path: Path, highest_m: float) -> Path:
+def tlog_with_a_still_barometer(path, highest_m):
     """A .tlog of a climb from 500 m, of which SCALED_PRESSURE2 is always 955 hPa."""
-    rows = []
+    writer = MavlinkWriter()
     for second in range(300):
         height_m = 500.0 + (highest_m - 500.0) * min(second / 200.0, 1.0)
         pressure_hpa = 1013.25 * (1.0 - 2.25577e-5 * height_m) ** 5.25588
-        rows += [
-            mavlink.MAVLink_gps_raw_int_message(
-                time_usec=1_000_000 * second,
-                fix_type=3,
-                lat=474_000_000 + 100 * second,
-                lon=85_000_000,
-                alt=round(1000.0 * height_m),
-                eph=100,
-                epv=100,
-                vel=0,
-                cog=0,
-                satellites_visible=12,
-            ),
-            mavlink.MAVLink_scaled_pressure_message(1000 * second, pressure_hpa, 0.0, 2000),
-            mavlink.MAVLink_scaled_pressure2_message(1000 * second, 955.0, 0.0, 2000),
-        ]
-    sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    log = bytearray()
-    for number, message in enumerate(rows):
-        log += struct.pack(">Q", 1_748_000_000_000_000 + 300_000 * number) + message.pack(sender)
-        sender.seq = (sender.seq + 1) % 256
-    path.write_bytes(log)
+        host_us = 1_748_000_000_000_000 + 900_000 * second
+        writer.send(
+            "gps_raw_int",
+            host_us,
+            time_usec=1_000_000 * second,
+            fix_type=3,
+            lat=474_000_000 + 100 * second,
+            lon=85_000_000,
+            alt=round(1000.0 * height_m),
+            eph=100,
+            epv=100,
+            satellites_visible=12,
+        )
+        air = {"time_boot_ms": 1000 * second, "temperature": 2000}
+        writer.send("scaled_pressure", host_us + 300_000, press_abs=pressure_hpa, **air)
+        writer.send("scaled_pressure2", host_us + 600_000, press_abs=955.0, **air)
+    path.write_bytes(writer.data)
     return path
 
 

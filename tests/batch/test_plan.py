@@ -1,7 +1,5 @@
 """What a result depends on: a change of any of it makes another fingerprint."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil
@@ -25,7 +23,7 @@ def plan(mission):
 
 
 @pytest.fixture
-def copied(tmp_path) -> Path:
+def copied(tmp_path):
     """The package's sources and data in a folder of the test's own."""
     folder = tmp_path / "unbend"
     shutil.copytree(

@@ -1,7 +1,5 @@
 """Missions side by side, in real processes that are killed, stopped and slow."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -21,13 +19,13 @@ sys.path.append(str(Path(MISSIONS).parent))
 from missions import gone, wait_until  # noqa: E402
 
 
-def ran(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[dict[str, str], list]:
+def ran(folder, jobs, *names, pace=0.0):
     """How each mission ended, and which began when and where."""
     ends, begun = ends_and_texts(folder, jobs, *names, pace=pace)
     return {name: word for name, word, _ in ends}, begun
 
 
-def ends_and_texts(folder: Path, jobs: int, *names: str, pace: float = 0.0) -> tuple[list, list]:
+def ends_and_texts(folder, jobs, *names, pace=0.0):
     """How each mission ended, in its order and with its text, and which began when and where."""
     (folder / "pace").write_text(str(pace))
     done = subprocess.run(
@@ -154,7 +152,7 @@ def test_a_signal_stops_all_and_begins_nothing(mission_factory, tmp_path, number
         text=True,
         env=os.environ | {"DEAF": deaf},
     )
-    assert process.stderr is not None  # a worker's standard output is for its receipts alone
+    # A worker's standard output is for its receipts alone.
     workers = [int(process.stderr.readline().split()[1]) for _ in range(2)]
     process.send_signal(number)
     out, err = process.communicate(timeout=300)  # the step itself takes 600 s

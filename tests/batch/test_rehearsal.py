@@ -115,11 +115,11 @@ CODES = {
 """Refusals that no test of `run` states."""
 
 
-def kinds_and_codes(manifest) -> set[tuple[str, str]]:
+def kinds_and_codes(manifest):
     return {(entry["kind"], entry["code"]) for entry in manifest["ledger"]}
 
 
-def outcome(mission, act) -> tuple[int, set[tuple[str, str]]]:
+def outcome(mission, act):
     """Exit code, and kinds and codes of the ledger, or the code of the refusal."""
     try:
         manifest = act(mission.file).manifest.values
@@ -142,7 +142,7 @@ def test_check_says_what_run_says(mission, change):
         assert checked[0] == 0
 
 
-def many_rows(mission) -> None:
+def many_rows(mission):
     """Every observation 250 times, of each second image ten times as often; a tenth no number."""
     table = measured_rows(mission)
     is_second = table["image"].rank(method="dense") % 2 == 0
@@ -182,7 +182,7 @@ ROWS_OF_IMAGES = np.array([1, 3, 200, 4000, 17, 900])
 IMAGE_OF_ROW = np.repeat(list("abcdef"), ROWS_OF_IMAGES)
 
 
-def row_sample(most: int, *parts) -> RowSample:
+def row_sample(most, *parts) -> RowSample:
     sample = RowSample(most)
     for part in parts:
         sample.add(pa.array(list(part)))
@@ -287,7 +287,7 @@ def test_ten_lines_in_80_columns(mission, unbend):
     assert "59 ok" in lines["rows"]
 
 
-def span(values: pd.Series, digits: int) -> str:
+def span(values, digits):
     return f"{values.min():.{digits}g} to {values.max():.{digits}g}"
 
 
@@ -329,14 +329,14 @@ def test_the_lines_have_the_numbers_of_the_run(mission):
     assert metres == pytest.approx(expected_m, abs=0.006)
 
 
-def shift_of(rows: pd.DataFrame) -> pd.Series:
+def shift_of(rows):
     """How far corrected points are from the measured ones [px]."""
     shift_x = rows["x_corrected_px"] - rows["x_px"]
     shift_y = rows["y_corrected_px"] - rows["y_px"]
     return np.hypot(shift_x, shift_y)
 
 
-def medians(lines: dict[str, str], label: str) -> dict[str, float]:
+def medians(lines, label):
     """What a change does to the corrections of each camera [px]."""
     for part in lines["changes by"].split("; "):
         if part.startswith(label):
@@ -435,7 +435,7 @@ def test_writing_nothing_means_nothing(mission, monkeypatch):
     assert times_of_files(mission) == before
 
 
-def times_of_files(mission) -> dict[Path, int]:
+def times_of_files(mission):
     """When each file was written, without that of the lock."""
     paths = mission.folder.rglob("*")
     return {path: path.stat().st_mtime_ns for path in paths if path.name != ".lock"}

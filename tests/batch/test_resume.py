@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
 import os
 import random
 import shutil
@@ -38,6 +37,8 @@ from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.ground_heights import GivenGround
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.observations import open_observations
+
+from .conftest import hashes_in
 
 ROWS = 950
 BATCH_ROWS = 100
@@ -91,22 +92,12 @@ def stream(tmp_path_factory) -> tuple[Any, CorrectionSetup]:
     return open_observations(path, COLUMNS, None, Ledger()), setup
 
 
-def tree(folder: Path) -> dict[str, str]:
-    """Everything in a folder but its lock, by content."""
-    hashes = {}
-    for path in folder.rglob("*"):
-        if path.is_file() and path.name != ".lock":
-            name = path.relative_to(folder).as_posix()
-            hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return hashes
-
-
-def receipts_in(out: Path) -> list[Path]:
+def receipts_in(out):
     """The receipts of the parts that a run has finished."""
     return sorted((out / ".staging" / "receipts").glob("part-*.parquet"))
 
 
-def run(stream, out: Path, key: str = "key", batch_rows: int = BATCH_ROWS, **options) -> None:
+def run(stream, out, key="key", batch_rows=BATCH_ROWS, **options):
     """A run that is a correction and nothing else; its manifest holds all that was counted."""
     observations, setup = stream
     with open_folder(out) as folder:
@@ -128,13 +119,7 @@ def run(stream, out: Path, key: str = "key", batch_rows: int = BATCH_ROWS, **opt
 class Disk:
     """Counts what a run does to the disk; from a step on, or once, that goes wrong."""
 
-    def __init__(
-        self,
-        patch: pytest.MonkeyPatch,
-        wrong: BaseException | None = None,
-        at: int = -1,
-        lasting: bool = False,
-    ):
+    def __init__(self, patch, wrong=None, at=-1, lasting=False):
         self.steps = 0
         self.parts = 0
         self.failed = False
@@ -147,10 +132,10 @@ class Disk:
         self._wrap(patch, store.shutil, "rmtree")
         self._wrap(patch, pq, "write_table")
 
-    def _wrap(self, patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
+    def _wrap(self, patch, owner, name):
         original = getattr(owner, name)
 
-        def called(*words: Any, **options: Any) -> Any:
+        def called(*words, **options):
             self.steps += 1
             self.parts += name == "write_table"
             if (self.failed and self._lasting) or self.steps == self._at:
@@ -165,17 +150,17 @@ class Disk:
 
 
 @pytest.fixture(scope="module")
-def untouched(stream, tmp_path_factory) -> tuple[dict[str, str], int]:
+def untouched(stream, tmp_path_factory):
     """The results of a run that nothing stopped, and how many steps it took on the disk."""
     out = tmp_path_factory.mktemp("untouched")
     with pytest.MonkeyPatch.context() as patch:
         disk = Disk(patch)
         run(stream, out)
     assert disk.parts == PARTS
-    return tree(out), disk.steps
+    return hashes_in(out), disk.steps
 
 
-def drawn_steps(steps: int, count: int = 6) -> list[int]:
+def drawn_steps(steps, count=6):
     """Steps at which something goes wrong; with UNBEND_KILLS=all every one."""
     every = range(1, steps + 1)
     if os.environ.get("UNBEND_KILLS") == "all":
@@ -210,7 +195,7 @@ def test_a_run_that_is_killed_goes_on_where_it_was(
         parts = parts_made(stream, out)
         if not committed:
             assert parts == PARTS - finished, (step, SEED)
-        assert tree(out) == whole, (step, SEED)
+        assert hashes_in(out) == whole, (step, SEED)
 
 
 @pytest.mark.parametrize("lasting", [True, False], ids=["lasting", "once"])
@@ -230,7 +215,7 @@ def test_a_disk_that_refuses_leaves_what_is_finished(stream, untouched, tmp_path
             assert steps - 2 * MOST_THREADS <= disk.steps < step, (step, SEED)
             continue
         if refusal is None:  # while it cleaned up: then all was done
-            assert {*tree(out)} >= {*whole}, (step, SEED)
+            assert {*hashes_in(out)} >= {*whole}, (step, SEED)
         else:
             assert os.strerror(number) in refusal.what, (step, SEED)
             manifest = read_manifest(out)  # which is the last but for what cleans up
@@ -238,13 +223,13 @@ def test_a_disk_that_refuses_leaves_what_is_finished(stream, untouched, tmp_path
         if not lasting:
             assert not [*out.rglob("*.draft")], (step, SEED)
         run(stream, out)
-        assert tree(out) == whole, (step, SEED)
+        assert hashes_in(out) == whole, (step, SEED)
 
 
-def stopped_after(stream, out: Path, parts: int, **options: Any) -> None:
+def stopped_after(stream, out, parts, **options):
     """A run that is stopped after some of its parts."""
 
-    def check() -> None:
+    def check():
         if len(receipts_in(out)) >= parts:
             raise KeyboardInterrupt
 
@@ -252,7 +237,7 @@ def stopped_after(stream, out: Path, parts: int, **options: Any) -> None:
         run(stream, out, check=check, **options)
 
 
-def parts_made(stream, out: Path, **options: Any) -> int:
+def parts_made(stream, out, **options):
     """How many parts a run makes."""
     with pytest.MonkeyPatch.context() as patch:
         disk = Disk(patch)
@@ -269,31 +254,31 @@ def test_parts_of_another_key_are_made_again(stream, untouched, tmp_path, other)
     stopped_after(stream, tmp_path, 4, **other)
     assert receipts_in(tmp_path)
     assert parts_made(stream, tmp_path) == PARTS
-    assert tree(tmp_path) == untouched[0]
+    assert hashes_in(tmp_path) == untouched[0]
 
 
-def flip_a_bit(path: Path, other: Path) -> None:
+def flip_a_bit(path, other):
     content = bytearray(path.read_bytes())
     place = random.Random(SEED).randrange(len(content) * 8)
     content[place // 8] ^= 1 << place % 8
     path.write_bytes(content)
 
 
-def cut_short(path: Path, other: Path) -> None:
+def cut_short(path, other):
     path.write_bytes(path.read_bytes()[:-1])
 
 
-def swap(path: Path, other: Path) -> None:
+def swap(path, other):
     content = path.read_bytes()
     path.write_bytes(other.read_bytes())
     other.write_bytes(content)
 
 
-def copy_other(path: Path, other: Path) -> None:
+def copy_other(path, other):
     shutil.copy(other, path)
 
 
-def remove(path: Path, other: Path) -> None:
+def remove(path, other):
     path.unlink()
 
 
@@ -317,16 +302,16 @@ def test_a_part_that_was_damaged_meanwhile_is_made_again(
     damage(files / receipts[0].name, files / receipts[1].name)
     missing = PARTS - len(receipts)
     assert parts_made(stream, tmp_path) == missing + made_again, SEED
-    assert tree(tmp_path) == untouched[0]
+    assert hashes_in(tmp_path) == untouched[0]
 
 
 def test_a_receipt_runs_nothing(tmp_path):
     class Hostile:
-        def __reduce__(self) -> Any:
+        def __reduce__(self):
             return (os.mkdir, (str(tmp_path / "made"),))
 
     class Ours:
-        def __reduce__(self) -> Any:
+        def __reduce__(self):
             return (store.sync_folder, (tmp_path / "nowhere",))
 
     for hostile in (Hostile(), Ours(), np.array([Hostile()], object)):

@@ -3,8 +3,6 @@
 10 missions in `make test`; UNBEND_SOAK states another number (RELIABILITY.md, F22).
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 from pathlib import Path
@@ -23,18 +21,18 @@ pytestmark = [
 ]
 
 
-def open_files() -> int:
+def open_files():
     """Files, pipes and sockets that this process has open."""
     return len(os.listdir("/proc/self/fd"))
 
 
-def resident_bytes() -> int:
+def resident_bytes():
     """Resident memory of this process [bytes]."""
     pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
     return int(pages) * PAGE_BYTES
 
 
-def temporary_files() -> set[str]:
+def temporary_files():
     """Names in the folder for temporary files."""
     return set(os.listdir(tempfile.gettempdir()))
 

@@ -9,7 +9,6 @@ import subprocess
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -28,7 +27,7 @@ from unbend.tables.manifest.whole import Manifest
 PART = "observations/part-00000.parquet"
 
 
-def names_in(folder: Path) -> set[str]:
+def names_in(folder):
     return {path.name for path in folder.iterdir()}
 
 
@@ -44,20 +43,20 @@ def manifest_of(run: RunFolder) -> Manifest:
     )
 
 
-def place_files(run: RunFolder, *names: str) -> None:
+def place_files(run: RunFolder, *names):
     """Results of a run, each with its own name in it."""
     for name in names:
         run.place(name).write_text(name, encoding="utf-8")
         run.seal(name)
 
 
-def commit(folder: Path, *names: str) -> None:
+def commit(folder, *names):
     with open_folder(folder) as run:
         place_files(run, *names)
         run.commit(manifest_of(run))
 
 
-def damage_of(folder: Path, *, read: bool = True) -> list[str]:
+def damage_of(folder, *, read=True):
     """What is damaged of the results in a folder, which have a manifest."""
     manifest = read_manifest(folder)
     assert manifest is not None
@@ -115,14 +114,14 @@ def test_a_manifest_of_somebody_else_is_refused(tmp_path, outputs):
 
 
 @pytest.fixture
-def recorded(tmp_path, monkeypatch) -> list[tuple[str, ...]]:
+def recorded(tmp_path, monkeypatch):
     """Every flush, rename and removal below the folder, in order."""
-    steps: list[tuple[str, ...]] = []
+    steps = []
 
-    def record(owner: object, function: str) -> None:
+    def record(owner, function):
         original = getattr(owner, function)
 
-        def recorded(*arguments: Any, **options: Any) -> Any:
+        def recorded(*arguments, **options):
             paths = [path for path in arguments if isinstance(path, Path)]
             names = [path.relative_to(tmp_path).as_posix() for path in paths]
             steps.append((function, *names))
@@ -165,7 +164,7 @@ def test_files_and_folders_are_really_flushed(tmp_path, monkeypatch):
     flushed = []
     original = os.fsync
 
-    def fsync(handle: int) -> None:
+    def fsync(handle):
         flushed.append(os.fstat(handle).st_ino)
         original(handle)
 
@@ -193,7 +192,7 @@ def test_a_commit_that_ends_half_way_leaves_no_manifest_and_can_be_repeated(
     commit(tmp_path, *names)
     count = 0
 
-    def stop(source: Path, target: Path) -> None:
+    def stop(source, target):
         nonlocal count
         if count == step:
             raise KeyboardInterrupt if killed else OSError(28, "No space left on device")
@@ -202,7 +201,7 @@ def test_a_commit_that_ends_half_way_leaves_no_manifest_and_can_be_repeated(
 
     monkeypatch.setattr(store, "replace_file", stop)
 
-    def commit_and_stop() -> None:
+    def commit_and_stop():
         with open_folder(tmp_path) as run:
             place_files(run, *names)
             if killed:  # a killed process does not clean up
@@ -229,7 +228,7 @@ def test_a_file_of_the_user_among_interrupted_results_does_not_stop_the_next_run
     notes = folder / "notes.txt"
     notes.write_text("mine", encoding="utf-8")
 
-    def full(source: Path, target: Path) -> None:
+    def full(source, target):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(store, "replace_file", full)
@@ -257,7 +256,7 @@ def test_a_target_that_a_viewer_has_open_is_replaced_a_moment_later(tmp_path, mo
     original = Path.replace
     refused = []
 
-    def replace(self: Path, other: Path) -> Path:
+    def replace(self, other):
         if len(refused) < 3:
             refused.append(other)
             raise PermissionError(13, "in use")
@@ -311,14 +310,14 @@ def test_the_lock_of_a_process_that_died_is_free(tmp_path):
     assert read_manifest(tmp_path) is not None
 
 
-def refusing_lock(error: OSError) -> type:
+def refusing_lock(error):
     """Locks that nobody gets, for the error that the system would give."""
 
     class Refusing:
-        def __init__(self, path: Path, timeout: float) -> None:
+        def __init__(self, path, timeout):
             assert (path.name, timeout) == (".lock", 0)
 
-        def acquire(self) -> None:
+        def acquire(self):
             raise error
 
     return Refusing
@@ -373,7 +372,7 @@ def test_files_among_the_results_by_any_path(tmp_path, path, is_result):
 
 
 def test_a_folder_is_there_whole_or_not_at_all(tmp_path):
-    def make(folder: Path) -> None:
+    def make(folder):
         (folder / "inner").mkdir(parents=True)
         (folder / "inner" / "first.txt").touch()
 

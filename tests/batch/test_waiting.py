@@ -8,10 +8,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -35,13 +33,13 @@ pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no nam
 
 
 @pytest.fixture
-def impatient(monkeypatch) -> None:
+def impatient(monkeypatch):
     """Looks often, and gives up after a tenth of a second."""
     monkeypatch.setattr(processes, "LOOK_S", 0.05)
     monkeypatch.setattr(processes, "MOST_LOOKS", 2)
 
 
-def stop_once(mark: Path) -> Outcome:
+def stop_once(mark) -> Outcome:
     """A mission whose process is stopped when it runs for the first time."""
     if not mark.exists():
         mark.touch()
@@ -57,7 +55,7 @@ def stop_always() -> Outcome:
 @linux
 def test_a_stopped_process_costs_its_mission_one_attempt(tmp_path, impatient):
     """Others go on meanwhile; `run_many` runs it again, as any that is lost."""
-    tasks: dict[Any, Any] = {
+    tasks = {
         "stopped": partial(stop_once, tmp_path / "stopped"),
         "other": partial(stop_once, tmp_path),  # which is there: it is not stopped
     }
@@ -71,18 +69,16 @@ def test_a_stopped_process_costs_its_mission_one_attempt(tmp_path, impatient):
 @linux
 def test_a_process_that_goes_on_in_time_is_not_killed(impatient):
     process = MissionProcess(1)
-    future = process.submit(partial(time.sleep, 0))  # type: ignore[arg-type]
+    future = process.submit(partial(time.sleep, 0))
     assert process.end(future) is None
-    assert process._process is not None
     number = process._process.pid
-    assert number is not None
     for _ in range(3):
         os.kill(number, signal.SIGSTOP)
         wait_until(partial(is_stopped, number))
         process.kill_if_stopped()
         os.kill(number, signal.SIGCONT)
         process.kill_if_stopped()
-    assert process.end(process.submit(partial(time.sleep, 0))) is None  # type: ignore[arg-type]
+    assert process.end(process.submit(partial(time.sleep, 0))) is None
     stop_all([process])
 
 
@@ -101,7 +97,7 @@ def test_a_worker_of_dask_does_not_wait_for_its_stopped_process(impatient):
 
 
 @pytest.fixture
-def holder(tmp_path) -> Iterator[subprocess.Popen[str]]:
+def holder(tmp_path):
     """Another process that holds the lock of a folder of results."""
     code = (
         "import sys, time; from pathlib import Path\n"
@@ -113,7 +109,6 @@ def holder(tmp_path) -> Iterator[subprocess.Popen[str]]:
         stdout=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout is not None
     assert process.stdout.readline() == "held\n"
     yield process
     process.kill()
@@ -173,14 +168,14 @@ def test_a_question_has_a_limit_and_its_errors_are_raised():
     blocked.set()
     assert within(None, blocked.wait) is True
     with pytest.raises(ZeroDivisionError):
-        within(60.0, lambda: 1 // 0)  # type: ignore[arg-type]
+        within(60.0, lambda: 1 // 0)
 
 
 def test_a_stopped_mission_that_stops_again_is_refused_with_the_reason():
     class Stopping:
-        def run(self, tasks: Any, *, alone: bool = False) -> Iterator[Any]:
+        def run(self, tasks, *, alone=False):
             for mission in tasks:
                 yield mission, Lost(processes.way_of_death(-9, was_stopped=True))
 
-    ((_, end),) = run_many(print, [MissionRef(Path("m.yaml"))], Stopping())  # type: ignore[arg-type]
+    ((_, end),) = run_many(print, [MissionRef(Path("m.yaml"))], Stopping())
     assert str(end).count("stopped (SIGSTOP) for 60 s, so it was killed") == 2

@@ -1,23 +1,22 @@
 """What commands print, as tests read it."""
 
 import json
-from typing import Any
 
 
-def longest(text: str) -> int:
+def longest(text):
     """The most characters of a line."""
     return max(len(line.rstrip()) for line in text.splitlines())
 
 
-def one_line(text: str) -> str:
+def one_line(text):
     """A text with single blanks between its words, however it was wrapped."""
     return " ".join(text.split())
 
 
-def strict_json(text: str) -> dict[str, Any]:
+def strict_json(text):
     """JSON as its standard has it: NaN and Infinity are no numbers."""
 
-    def refuse(word: str):
+    def refuse(word):
         raise AssertionError(f"{word} is no JSON")
 
     return json.loads(text, parse_constant=refuse)

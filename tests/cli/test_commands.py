@@ -87,7 +87,7 @@ def test_a_command_that_cannot_be_obeyed(unbend, words):
     assert "Traceback" not in ended.text
 
 
-def angle_words(changes: dict[str, object]) -> list[str]:
+def angle_words(changes):
     """An angle that can be had, with other values."""
     values = {"--camera-height": 3000, "--ground-height": 0, "--nadir-angle": 45} | changes
     words = ["angle"]
@@ -100,7 +100,7 @@ def angle_words(changes: dict[str, object]) -> list[str]:
 def angle_of(unbend):
     """What `unbend angle` gives as JSON, and what it prints in one line."""
 
-    def ask(h_c: float, h_g: float, zeta: float, more: str = ""):
+    def ask(h_c, h_g, zeta, more=""):
         values = {"--camera-height": h_c, "--ground-height": h_g, "--nadir-angle": zeta}
         words = [*angle_words(values), *more.split()]
         plain = unbend(*words)

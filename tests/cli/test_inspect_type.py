@@ -3,7 +3,6 @@
 import io
 import json
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,14 +12,14 @@ from pymavlink.DFReader import DFReader_binary
 from tests.ingest.dataflash.library import library_tables
 
 
-def rows_of_library(path: Path, kind: str) -> list[dict]:
+def rows_of_library(path, kind):
     """The messages of a type as pymavlink reads them."""
     table = library_tables(DFReader_binary(str(path)))[kind]
     return pd.DataFrame(table).to_dict("records")
 
 
 @pytest.fixture
-def log(flown) -> Path:
+def log(flown):
     """A DataFlash log."""
     return flown.logs["bin"]
 
@@ -35,7 +34,7 @@ def inspect(unbend, log):
 def csv_of(inspect):
     """A message type as CSV, from words behind `--type`."""
 
-    def table(*words: str) -> pd.DataFrame:
+    def table(*words):
         ended = inspect(*words, "--csv")
         assert ended.code == 0
         return pd.read_csv(io.StringIO(ended.out), engine="python")

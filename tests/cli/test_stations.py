@@ -23,7 +23,7 @@ LATITUDE_DEG = 28.64788975654116  # 0.5 rad
 NINE = 1_749_718_800 * SECOND  # 2025-06-12, 09:00 UTC
 
 
-def flown(n: int = 40) -> Stations:
+def flown(n=40) -> Stations:
     """Eastwards along the equator; the 4th to 6th suspect, the 8th outside the log."""
     number = np.arange(n)
     images = np.array([f"DSC_{i + 1:05d}.tif" for i in number], object)
@@ -47,7 +47,7 @@ def flown(n: int = 40) -> Stations:
     return stations
 
 
-def printed(stations: Stations, capsys) -> list[str]:
+def printed(stations, capsys):
     rows = rows_of_stations(stations)
     print_stations(report_console(), rows)
     text = capsys.readouterr().out
@@ -83,7 +83,7 @@ def test_a_long_name_is_shortened(capsys):
         assert row.startswith("2025-06-…0001.jpg ")
 
 
-def points_of(axis, label: str) -> np.ndarray:
+def points_of(axis, label):
     lines = [line for line in axis.get_lines() if str(line.get_label()).endswith(label)]
     assert len(lines) == 1
     return np.asarray(lines[0].get_xydata())

@@ -24,7 +24,7 @@ IMPATIENT = (
 )
 
 
-def in_terminal(*words: str, python: tuple[str, ...] = UNBEND, **environment: str) -> str:
+def in_terminal(*words, python=UNBEND, **environment):
     """What `unbend` writes to a terminal of its own."""
     master, slave = pty.openpty()
     process = subprocess.Popen(

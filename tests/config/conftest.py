@@ -1,32 +1,27 @@
 """Mission files that tests of the configuration write, load and see refused."""
 
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
 
-from unbend.config import Mission, load_mission
+from unbend.config import load_mission
 from unbend.errors import ConfigError
-
-Content = dict[str, Any] | str
 
 # libyaml where PyYAML was built with it: ten times as fast.
 C_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 C_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
-def dumped(tree: dict[str, Any]) -> str:
+def dumped(tree):
     return yaml.dump(tree, Dumper=C_DUMPER, sort_keys=False)
 
 
 @pytest.fixture
-def written(tmp_path: Path) -> Callable[[Content], Path]:
+def written(tmp_path):
     """Writes a mission file of these values, or this text."""
 
-    def write(content: Content) -> Path:
+    def write(content):
         path = tmp_path / "mission.yaml"
         if not isinstance(content, str):
             content = dumped(content)
@@ -37,20 +32,20 @@ def written(tmp_path: Path) -> Callable[[Content], Path]:
 
 
 @pytest.fixture
-def load(written) -> Callable[[Content], Mission]:
+def load(written):
     """Loads a mission file of these values, or this text."""
 
-    def load_written(content: Content) -> Mission:
+    def load_written(content):
         return load_mission(written(content))
 
     return load_written
 
 
 @pytest.fixture
-def refusal(written) -> Callable[[Content], ConfigError]:
+def refusal(written):
     """The refusal of a mission file; fails when there is none or it took ten seconds."""
 
-    def attempt(content: Content) -> ConfigError:
+    def attempt(content):
         path = written(content)
         begin = time.process_time()
         with pytest.raises(ConfigError) as caught:
@@ -66,10 +61,10 @@ def refusal(written) -> Callable[[Content], ConfigError]:
 
 
 @pytest.fixture
-def invalid(refusal) -> Callable[[Content], str]:
+def invalid(refusal):
     """What is said of a mission file whose keys are known and whose values are not possible."""
 
-    def attempt(content: Content) -> str:
+    def attempt(content):
         error = refusal(content)
         assert error.code == "CONFIG-INVALID"
         return error.what

@@ -2,8 +2,6 @@
 
 import json
 import pickle
-from pathlib import Path
-from typing import Any
 
 import jsonschema
 import pytest
@@ -24,7 +22,7 @@ OWN = ("mission", "log", "observations", "events")
 def season(mission, tmp_path):
     """A campaign file beside one mission, which keeps only what is its own."""
 
-    def write(changes: str = "{}", defaults: str = "{}") -> Path:
+    def write(changes="{}", defaults="{}"):
         """Sections of the file and of its defaults are YAML."""
         own = {key: mission.config[key] for key in OWN}
         (mission.folder / "mission.yaml").write_text(yaml.safe_dump(own), "utf-8")
@@ -41,12 +39,12 @@ def season(mission, tmp_path):
     return write
 
 
-def opened(file: Path) -> tuple[list[MissionRef], Campaign]:
+def opened(file) -> tuple[list[MissionRef], Campaign]:
     refs, campaigns = open_configs([file])
     return refs, campaigns[0]
 
 
-def loaded(file: Path) -> Mission:
+def loaded(file) -> Mission:
     """The only mission of a campaign."""
     (ref,), _ = opened(file)
     return ref.load()
@@ -201,7 +199,7 @@ def test_a_file_that_is_named_twice_is_taken_once(season, mission):
 def test_sections_that_are_replaced_as_a_whole_are_those_of_which_there_are_several():
     places = []
 
-    def walk(node: dict[str, Any], place: str):
+    def walk(node, place):
         arms = alternatives(node)
         if sum("properties" in arm for arm in arms) > 1:
             places.append(place)

@@ -1,7 +1,5 @@
 """What a mission file says of slant ranges, and of the direction of the correction."""
 
-from typing import Any
-
 import pytest
 import yaml
 
@@ -21,7 +19,7 @@ output: {path: results}
 """
 
 
-def changed(**changes: Any) -> dict[str, Any]:
+def changed(**changes):
     return yaml.safe_load(BASE) | changes
 
 

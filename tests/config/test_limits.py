@@ -4,8 +4,6 @@ They keep out what is no survey (a station 60 km high, a thermometer off by 300 
 key in hectopascals), and nothing that is one.
 """
 
-from typing import Any
-
 from pydantic.fields import FieldInfo
 
 from unbend.config.schema import all_sections
@@ -103,7 +101,7 @@ SIGNS = {
 }
 
 
-def limits_of(field: FieldInfo) -> str:
+def limits_of(field: FieldInfo):
     """The limits of a key as the table has them."""
     limits = []
     for part in field.metadata:
@@ -114,8 +112,8 @@ def limits_of(field: FieldInfo) -> str:
     return ", ".join(limits)
 
 
-def unit_of(field: FieldInfo) -> str | None:
-    extra: Any = field.json_schema_extra
+def unit_of(field: FieldInfo):
+    extra = field.json_schema_extra
     return extra.get("unit") if isinstance(extra, dict) else None
 
 

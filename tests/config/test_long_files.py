@@ -1,9 +1,6 @@
 """Mission files that are far too long: a refusal, soon, and short."""
 
-from __future__ import annotations
-
 import time
-from pathlib import Path
 
 import pytest
 
@@ -27,7 +24,7 @@ LONG_TEXTS = {
 
 
 @pytest.mark.parametrize("text", LONG_TEXTS.values(), ids=LONG_TEXTS.keys())
-def test_of_very_many_mistakes_the_first_are_listed(tmp_path: Path, text: str):
+def test_of_very_many_mistakes_the_first_are_listed(tmp_path, text):
     path = tmp_path / "mission.yaml"
     path.write_text(text, encoding="utf-8")
 
@@ -43,7 +40,7 @@ def test_of_very_many_mistakes_the_first_are_listed(tmp_path: Path, text: str):
     assert cpu_s < MOST_CPU_S
 
 
-def test_as_many_mistakes_as_are_listed_are_all_listed(tmp_path: Path):
+def test_as_many_mistakes_as_are_listed_are_all_listed(tmp_path):
     missing = 5  # sections that every mission has
     path = tmp_path / "mission.yaml"
     unknown = "".join(f"k{number}: 1\n" for number in range(MOST_SENTENCES - missing))
@@ -68,7 +65,7 @@ def test_where_not_everything_refused_was_looked_at_the_number_says_more():
     assert ": more than 2 mistakes" in str(one_more)
 
 
-def test_a_file_that_is_larger_than_any_mission_file_is_refused(tmp_path: Path):
+def test_a_file_that_is_larger_than_any_mission_file_is_refused(tmp_path):
     path = tmp_path / "mission.yaml"
     path.write_text("# a comment\n" * (MOST_BYTES // 12 + 1), encoding="utf-8")
     with refused("CONFIG-UNREADABLE") as caught:

@@ -6,7 +6,6 @@ import re
 import string
 import typing
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 import yaml
@@ -15,7 +14,7 @@ from pydantic import BaseModel
 from tests.config.conftest import C_LOADER, dumped
 from unbend.config import Mission
 
-FULL: dict[str, Any] = yaml.safe_load("""
+FULL = yaml.safe_load("""
 mission:
   name: survey
   undulation_m: 47.5
@@ -189,13 +188,13 @@ csv:
 """)
 
 
-def with_csv_events() -> dict[str, Any]:
+def with_csv_events():
     ground = {"height": 120.0, "reference": "relative", "sigma_column": "sigma_h"}
     return FULL | {"events": CSV_EVENTS, "ground": ground}
 
 
 WITHOUT_WINDOW = {key: value for key, value in FULL["cameras"]["nadir"].items() if key != "window"}
-ORIENTED: dict[str, Any] = {
+ORIENTED = {
     "mission": FULL["mission"],
     "observations": FULL["observations"],
     "ground": FULL["ground"],
@@ -260,7 +259,7 @@ columns: {q_w: a, q_x: b, q_y: c, q_z: d, gps_week: w, gps_seconds: s}
 """)
 
 
-def oriented(orientation: dict[str, Any]) -> dict[str, Any]:
+def oriented(orientation):
     return ORIENTED | {"stations": {"orientation": orientation}}
 
 
@@ -299,7 +298,7 @@ BY_QUATERNIONS = yaml.safe_load("""
 """)
 
 
-def with_imports() -> Iterator[dict[str, Any]]:
+def with_imports():
     """Trajectories and camera events of others."""
     positions = dict.fromkeys(FULL["cameras"], POSITIONS)
     for columns in (BY_ANGLES, BY_QUATERNIONS):
@@ -310,7 +309,7 @@ def with_imports() -> Iterator[dict[str, Any]]:
         }
 
 
-def with_object_points() -> dict[str, Any]:
+def with_object_points():
     columns = {"point": "name", "x": "east", "y": "north", "height": "h"}
     points = {"points": "points.csv", "columns": columns, "crs": "EPSG:25832"}
     return FULL | {"ground": {"height": points, "reference": "msl"}}
@@ -332,7 +331,7 @@ normal: [0.0, 0.0, 1.0]
 """)
 
 
-def with_opening() -> dict[str, Any]:
+def with_opening():
     nadir = WITHOUT_WINDOW | {"opening": OPENING}
     return FULL | {"cameras": FULL["cameras"] | {"nadir": nadir}}
 
@@ -341,7 +340,7 @@ NAMES = set(FULL["cameras"])
 SECTIONS_OF_NAMES = {"cameras", "mount", "events.log", "events.first_image"}
 
 
-def keys_of(tree, above: str = "") -> Iterator[str]:
+def keys_of(tree, above=""):
     """Every key of a dictionary, with those above it and dots between them."""
     if isinstance(tree, dict):
         for name, value in tree.items():
@@ -350,35 +349,35 @@ def keys_of(tree, above: str = "") -> Iterator[str]:
             yield from keys_of(value, f"{key}.")
 
 
-def last_of(key: str) -> str:
+def last_of(key):
     return key.rpartition(".")[2]
 
 
-def is_camera_name(key: str) -> bool:
+def is_camera_name(key):
     section, _, name = key.rpartition(".")
     return section in SECTIONS_OF_NAMES and name in NAMES
 
 
-def at(tree: dict[str, Any], key: str):
+def at(tree, key):
     for name in filter(None, key.split(".")):
         tree = tree[name]
     return tree
 
 
-def copied(tree: dict[str, Any], key: str) -> tuple[dict[str, Any], dict[str, Any], str]:
+def copied(tree, key):
     """A copy of a tree, the section of a key in it, and the key's name there."""
     tree = copy.deepcopy(tree)
     section, _, name = key.rpartition(".")
     return tree, at(tree, section), name
 
 
-def changed(tree: dict[str, Any], key: str, value) -> dict[str, Any]:
+def changed(tree, key, value):
     tree, section, name = copied(tree, key)
     section[name] = value
     return tree
 
 
-def renamed(tree: dict[str, Any], key: str, new_name: str) -> dict[str, Any]:
+def renamed(tree, key, new_name):
     tree, section, old_name = copied(tree, key)
     for name in list(section):  # the order of the keys stays
         value = section.pop(name)
@@ -388,13 +387,13 @@ def renamed(tree: dict[str, Any], key: str, new_name: str) -> dict[str, Any]:
     return tree
 
 
-def without(tree: dict[str, Any], key: str) -> dict[str, Any]:
+def without(tree, key):
     tree, section, name = copied(tree, key)
     del section[name]
     return tree
 
 
-def line_of(text: str, key: str) -> int:
+def line_of(text, key):
     """The line of a key, by YAML's own account."""
     node = yaml.compose(text, C_LOADER)
     for name in key.split("."):
@@ -409,7 +408,7 @@ def models_in(annotation) -> Iterator[type[BaseModel]]:
         yield from models_in(argument)
 
 
-def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[str]:
+def fields_of(model: type[BaseModel], seen: set[type[BaseModel]]):
     if model in seen:
         return
     seen.add(model)
@@ -445,7 +444,7 @@ def test_the_examples_here_use_every_key_there_is(load):
     assert load(FULL).mission.title == FULL["mission"]["title"]
 
 
-def typos(word: str, draw: random.Random) -> Iterator[str]:
+def typos(word, draw):
     """One letter too few, too many, wrong, and two swapped."""
     letters = string.ascii_lowercase + "_"
     i = draw.randrange(len(word))
@@ -545,7 +544,7 @@ def test_no_number_may_be_infinite_or_nan(refusal, value):
 def test_a_value_of_the_wrong_type_is_refused_where_it_stands(refusal):
     for key in keys_of(FULL):
         right = at(FULL, key)
-        wrongs: list[Any] = [{"surprise": 1}] if isinstance(right, list) else [["a", "b"]]
+        wrongs = [{"surprise": 1}] if isinstance(right, list) else [["a", "b"]]
         if isinstance(right, (int, float)) and not isinstance(right, bool):
             wrongs += ["12"]
         if isinstance(right, (str, bool)) and key != "cameras.filed.camera":  # or a number

@@ -5,7 +5,6 @@ import json
 import re
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -35,15 +34,12 @@ FOREIGN = re.compile(
     r"greater than|less than|Unable to|input_value|union_tag|README",
     re.IGNORECASE,
 )
-WRONG: tuple[Any, ...] = (None, True, -1e9, 3.5, "no such word", [1, "x"], {"nme": 1}, "x" * 300)
+WRONG = (None, True, -1e9, 3.5, "no such word", [1, "x"], {"nme": 1}, "x" * 300)
 
 
-Place = tuple[Any, ...]
-
-
-def places(values, above: Place = ()) -> list[Place]:
+def places(values, above=()):
     """The places of all values, of sections too, as keys and numbers of list items."""
-    items: Any = ()
+    items = ()
     if isinstance(values, dict):
         items = values.items()
     elif isinstance(values, list):
@@ -54,13 +50,13 @@ def places(values, above: Place = ()) -> list[Place]:
     return inner
 
 
-def spoilt(place: Place, value) -> dict[str, Any]:
+def spoilt(place, value):
     tree = copy.deepcopy(BASE)
     spoil(tree, place, value)
     return tree
 
 
-def spoil(tree, place: Place, value):
+def spoil(tree, place, value):
     *above, last = place
     for key in above:
         tree = tree[key]
@@ -135,7 +131,7 @@ def test_a_missing_key_comes_with_its_meaning_and_an_example(refusal):
     assert "cameras.nadir.calibration: is missing: how the camera was calibrated" in error.what
 
 
-OPEN: dict[str, Place] = {
+OPEN = {
     "cameras.nadir.fx_px": ("cameras", "nadir", "fx_px"),
     "cameras.nadir.width_px": ("cameras", "nadir", "width_px"),
     "ground.reference": ("ground", "reference"),
@@ -158,7 +154,7 @@ def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(ref
     assert "co2_ppm: 'much'" in refusal(tree).what
 
 
-def explosion() -> str:
+def explosion():
     """Ten lists of ten of the list before."""
     text = "a: &a [x, x, x, x, x, x, x, x, x, x]\n"
     for inner, outer in pairwise("abcdefghij"):

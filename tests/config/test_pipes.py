@@ -1,7 +1,6 @@
 """A pipe in the place of a file is refused: nobody may ever write into it."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +14,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has n
 
 
 @pytest.fixture
-def pipe(tmp_path) -> Path:
+def pipe(tmp_path):
     path = tmp_path / "pipe.yaml"
     os.mkfifo(path)
     return path

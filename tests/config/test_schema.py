@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 KEYS = {key.path: key for key in mission_keys()}
 
 
-def missions() -> list[str]:
+def missions():
     """The mission files of configs, and those in the documents."""
     texts = [path.read_text("utf-8") for path in sorted(ROOT.glob("configs/*.yaml"))]
     for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")):

@@ -2,7 +2,6 @@
 
 import math
 import pickle
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ LENS = {
 }
 
 
-def config(window: dict[str, Any] | None = None, **camera) -> dict[str, Any]:
+def config(window=None, **camera):
     """A mission whose camera has a window, and other keys."""
     content = yaml.safe_load("""
 mission: {name: survey}

@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "pipeline" / "unbend"
 
 
-def text_of(path: Path) -> str:
+def text_of(path):
     """The text of a file."""
     return path.read_text("utf-8")
 
@@ -35,12 +35,12 @@ def nodes() -> Iterator[tuple[str, ast.AST]]:
             yield name, node
 
 
-def is_string(node: ast.AST) -> bool:
+def is_string(node: ast.AST):
     """Whether a node is a literal text."""
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
-def strings(tree: ast.Module) -> Iterator[tuple[int, str]]:
+def strings(tree: ast.Module):
     """Line and text of the strings that a module works with: no remark, no docstring."""
     idle = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):

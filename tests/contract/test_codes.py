@@ -53,7 +53,7 @@ def calls() -> Iterator[tuple[str, ast.Call]]:
             yield f"{name}:{node.lineno}", node
 
 
-def defined_codes() -> list[tuple[str, str]]:
+def defined_codes():
     """Name and place of every ``Code("NAME", ...)``."""
     return [
         (str(call.args[0].value), place)
@@ -65,7 +65,7 @@ def defined_codes() -> list[tuple[str, str]]:
     ]
 
 
-def literal(node: ast.expr | None) -> str | None:
+def literal(node: ast.expr | None):
     """A literal text, and None for what is put together."""
     if node is not None and is_string(node):
         return node.value
@@ -98,7 +98,7 @@ def sent() -> Iterator[Sent]:
 
 
 @pytest.fixture(scope="module")
-def said_in_tests() -> set[str]:
+def said_in_tests():
     """Every whole code in a string of a test."""
     here = Path(__file__).resolve()
     return {

@@ -30,7 +30,7 @@ OF_ITS_TIME = ("changelog_details", "decisions.md")
 """Pages that name commands as they were."""
 
 
-def runs_here(page: Path) -> bool:
+def runs_here(page):
     """Whether something of a page runs, without UNBEND_SNIPPETS=all what is slow does not."""
     return any(block.runs and (EVERY or not block.slow) for block in snippets.blocks(page))
 
@@ -39,7 +39,7 @@ posix = pytest.mark.skipif(os.name == "nt", reason="the pages show a POSIX shell
 
 
 @pytest.fixture(scope="session")
-def ready(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ready(tmp_path_factory):
     """What pages begin with, made when the first of them needs it."""
     return tmp_path_factory.mktemp("ready")
 
@@ -57,7 +57,7 @@ def test_what_a_page_shows_runs_and_prints_that(name, ready, tmp_path, monkeypat
 
 
 @cache
-def help_text(command: str) -> str:
+def help_text(command):
     """What `unbend COMMAND --help` prints; nothing where there is no such command."""
     ended = run_command(command, "--help")
     return ended.out if ended.code == 0 else ""
@@ -115,7 +115,7 @@ class Links(HTMLParser):
         self.loaded: list[str] = []
         self.anchors: set[str] = set()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]):
+    def handle_starttag(self, tag, attrs):
         values = dict(attrs)
         if values.get("id"):
             self.anchors.add(str(values["id"]))
@@ -128,7 +128,7 @@ class Links(HTMLParser):
 
 
 @pytest.fixture(scope="session")
-def site_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site_folder(tmp_path_factory):
     """The site, built as `make docs` does, in strict mode."""
     folder = tmp_path_factory.mktemp("site")
     config = ROOT / "docs" / "mkdocs.yml"
@@ -154,7 +154,7 @@ def site_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def site(site_folder: Path) -> dict[Path, Links]:
+def site(site_folder) -> dict[Path, Links]:
     """The links of every page of the site."""
     found = {}
     for page in site_folder.rglob("*.html"):
@@ -195,11 +195,10 @@ def test_equations_are_mathml(site):
         assert 'class="arithmatex"' not in text, page.name
 
 
-def entries_of_the_search(site_folder: Path) -> list[dict[str, str]]:
+def entries_of_the_search(site_folder):
     """What the search of the site looks through: a place, a title and a text each."""
     index = json.loads((site_folder / "search" / "search_index.json").read_text("utf-8"))
-    entries: list[dict[str, str]] = index["docs"]
-    return entries
+    return index["docs"]
 
 
 FOUND_ON = yaml.safe_load("""

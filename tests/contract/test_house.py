@@ -56,13 +56,13 @@ def test_the_ratchet_names_modules_that_exist(modules):
     assert set(house.read_ratchet()) <= set(modules)
 
 
-def several(files: dict[str, list[str]]) -> dict[str, list[str]]:
+def several(files):
     """The names that are in several files."""
     return {name: places for name, places in files.items() if len(places) > 1}
 
 
 def test_no_two_public_classes_have_the_same_name():
-    files: dict[str, list[str]] = defaultdict(list)
+    files = defaultdict(list)
     for name, tree in trees().items():
         for node in tree.body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
@@ -72,7 +72,7 @@ def test_no_two_public_classes_have_the_same_name():
 
 
 def test_modules_of_the_same_name_are_the_same_thing(modules):
-    files: dict[str, list[str]] = defaultdict(list)
+    files = defaultdict(list)
     for name in modules:
         files[Path(name).stem].append(name)
     twice = several(files)
@@ -121,7 +121,7 @@ ALLOWED = {
 }
 
 
-def rules_broken(source: str, folder: Path) -> set[str]:
+def rules_broken(source, folder):
     path = folder / "module.py"
     path.write_text(source + "\n", "utf-8")
     return {place.rule for place in house.measure_module(path, "module.py").places}
@@ -154,7 +154,7 @@ def test_the_ratchet_only_falls(tmp_path):
     ratchet = tmp_path / "house.json"
     path = tmp_path / "module.py"
 
-    def write(source: str) -> list[str]:
+    def write(source):
         path.write_text(source, "utf-8")
         module = house.measure_module(path, "m.py")
         return house.write_ratchet({"m.py": module}, {}, ratchet)

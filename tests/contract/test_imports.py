@@ -11,7 +11,7 @@ import pytest
 from tests.contract.sources import PACKAGE, ROOT, text_of
 
 
-def python(code: str, *options: str) -> str:
+def python(code, *options):
     done = subprocess.run(
         [sys.executable, *options, "-c", code], capture_output=True, text=True, cwd=ROOT
     )

@@ -15,11 +15,11 @@ LOCKS = ROOT / ".locks"
 FILES = ("main", "cluster", "build", "test")
 
 
-def text_of_lock(name: str) -> str:
+def text_of_lock(name):
     return text_of(LOCKS / f"{name}.txt")
 
 
-def pins(name: str) -> set[tuple[str, str]]:
+def pins(name):
     """Names and versions of a lock; a name may have several, for several Pythons."""
     pinned = set()
     for match in re.finditer(r"^([\w.-]+)==([^\s;\\]+)", text_of_lock(name), re.MULTILINE):

@@ -8,7 +8,7 @@ import importlib
 import inspect
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from unbend.errors import UnbendError
 from unbend.messages import Kind, Message
 
 
-def makers() -> Iterator[Callable[..., Any]]:
+def makers():
     """The functions of every `messages.py` that make messages and refusals."""
     for path in sorted(PACKAGE.rglob("messages.py")):
         file = path.relative_to(PACKAGE.parent)
@@ -34,10 +34,10 @@ def makers() -> Iterator[Callable[..., Any]]:
 MAKERS = {f"{maker.__module__}.{maker.__name__}": maker for maker in makers()}
 
 
-def distinct_arguments(maker: Callable[..., Any]) -> dict[str, Any] | None:
+def distinct_arguments(maker: Callable[..., Any]):
     """A value for each argument by its annotation, no two alike; None where one is an object."""
     numbers = itertools.count(3)
-    arguments: dict[str, Any] = {}
+    arguments = {}
     signature = inspect.signature(maker, eval_str=True)
     for name, parameter in signature.parameters.items():
         kind = parameter.annotation
@@ -61,7 +61,7 @@ def distinct_arguments(maker: Callable[..., Any]) -> dict[str, Any] | None:
     return arguments
 
 
-def values_of(made: Message | UnbendError) -> Mapping[str, Any]:
+def values_of(made: Message | UnbendError):
     """What a message carries; its count only where it has one."""
     values = {"where": made.where, **made.values}
     if made.count:

@@ -67,7 +67,7 @@ def test_the_licence_is_apache():
     assert PROJECT["project"]["license-files"] == ["LICENSE"]
 
 
-def citation() -> dict:
+def citation():
     return yaml.safe_load(text_of(ROOT / "CITATION.cff"))
 
 
@@ -111,7 +111,7 @@ def test_the_installed_distribution_says_whose_it_is():
 
 
 @pytest.mark.parametrize("script", ["fit_air", "judge_air", "judge_faults"])
-def test_a_script_that_no_test_runs_starts(script: str):
+def test_a_script_that_no_test_runs_starts(script):
     """It imports names of the package, which may have others since."""
     command = [sys.executable, str(ROOT / f"benchmarks/{script}.py"), "--help"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)

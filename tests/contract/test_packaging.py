@@ -19,7 +19,7 @@ CONDA_NAMES = {"matplotlib": "matplotlib-base"}
 """Packages with another name on conda-forge: there `matplotlib` brings a window system too."""
 
 
-def as_in_conda(requirement: str) -> str:
+def as_in_conda(requirement):
     """A requirement of pyproject.toml as a recipe writes it."""
     parsed = Requirement(requirement)
     assert not parsed.extras, requirement

@@ -14,7 +14,7 @@ ALL_PAGES = sorted(ROOT.glob("docs/**/*.md"))
 PAGES = [path for path in ALL_PAGES if FENCE.search(text_of(path))]
 
 
-def examples(page: str) -> str:
+def examples(page):
     """The fences of a page, each line at its place; one fence follows from another."""
     text = ""
     for fence in FENCE.finditer(page):
@@ -25,11 +25,11 @@ def examples(page: str) -> str:
     return text
 
 
-def failures(text: str, name: str) -> str:
+def failures(text, name):
     """What does not come out as printed."""
     parser = doctest.DocTestParser()
     test = parser.get_doctest(text, {}, name, name, 0)
-    report: list[str] = []
+    report = []
     runner = doctest.DocTestRunner(verbose=False)
     runner.run(test, out=report.append)
     return "".join(report)

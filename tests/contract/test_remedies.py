@@ -16,7 +16,7 @@ OF_EXPORTS = {"origin_lat_deg", "origin_lon_deg", "origin_h_ellipsoid_m"}
 WORD = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)+")
 
 
-def is_remedy(node: ast.AST) -> bool:
+def is_remedy(node: ast.AST):
     """Whether a node gives a remedy: as an argument, or on a line of its own."""
     if isinstance(node, ast.keyword):
         return node.arg == "remedy"
@@ -25,9 +25,9 @@ def is_remedy(node: ast.AST) -> bool:
     return "remedy" in map(ast.unparse, node.targets)
 
 
-def words_of_remedies() -> dict[str, set[str]]:
+def words_of_remedies():
     """Every word with an underscore in a remedy of the package, and the files that have it."""
-    files: dict[str, set[str]] = {}
+    files = {}
     for name, node in nodes():
         if not is_remedy(node):
             continue
@@ -37,13 +37,13 @@ def words_of_remedies() -> dict[str, set[str]]:
     return files
 
 
-def is_text(value: object) -> bool:
+def is_text(value):
     return isinstance(value, str)
 
 
-def keys_of_mission_files(schema: object) -> set[str]:
+def keys_of_mission_files(schema):
     """All keys, and the words that are values of keys, such as ``from_feedback``."""
-    words: set[str] = set()
+    words = set()
     if isinstance(schema, dict):
         words.update(schema.get("properties", {}))
         values = [*schema.get("enum", []), schema.get("const")]

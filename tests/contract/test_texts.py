@@ -3,7 +3,6 @@
 import ast
 import re
 import tomllib
-from collections.abc import Iterator
 
 import pytest
 import yaml
@@ -18,21 +17,21 @@ PERSON = re.compile(
 NO_PERSON = re.compile(r"\bUS\b|\bi\b|\[[^]]*\bus\b[^]]*\]|[0-9] ?us\b")
 
 
-def texts(tree: ast.Module) -> Iterator[tuple[int, str]]:
+def texts(tree: ast.Module):
     """Strings of a module with a space in them that are no docstrings: what somebody may read."""
     for line, text in strings(tree):
         if " " in text.strip():
             yield line, text
 
 
-def help_texts(tree: ast.Module) -> Iterator[tuple[int, str]]:
+def help_texts(tree: ast.Module):
     """Docstrings of a module and its functions, where those are the help of commands and keys."""
     for node in ast.walk(tree):
         if isinstance(node, (ast.Module, ast.FunctionDef, ast.ClassDef)):
             yield getattr(node, "lineno", 1), ast.get_docstring(node) or ""
 
 
-def persons_in(text: str) -> list[str]:
+def persons_in(text):
     return PERSON.findall(NO_PERSON.sub("", text))
 
 
@@ -131,7 +130,7 @@ WRITTEN_PAGES = [
 ]
 
 
-def prose_of(page: str) -> str:
+def prose_of(page):
     """A page without code, codes of messages, comments and the targets of links."""
     text = FENCED.sub("\n", page)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
@@ -140,7 +139,7 @@ def prose_of(page: str) -> str:
     return re.sub(r"\]\([^)]*\)", "]", text)
 
 
-def paragraphs_of(page: str) -> list[str]:
+def paragraphs_of(page):
     """The paragraphs and items of lists of a page, each in one line; no headings, no tables."""
     paragraphs = []
     for block in re.split(r"\n\s*\n", prose_of(page)):
@@ -151,7 +150,7 @@ def paragraphs_of(page: str) -> list[str]:
     return paragraphs
 
 
-def habits_in(page: str) -> list[str]:
+def habits_in(page):
     """The habits of a page, each with the words around it."""
     text = " ".join(prose_of(page).split())
     found = [
@@ -181,7 +180,7 @@ NOT_SHOWN = ("ingest/data/field_maps.toml", "atmosphere/data/air_variation.toml"
 """Tables for the program: no person sees their words."""
 
 
-def strings_of_toml(value: object) -> Iterator[str]:
+def strings_of_toml(value):
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):
@@ -192,7 +191,7 @@ def strings_of_toml(value: object) -> Iterator[str]:
             yield from strings_of_toml(entry)
 
 
-def texts_of_the_program() -> Iterator[tuple[str, str]]:
+def texts_of_the_program():
     """Place and text of all that a person may read: messages, keys, help, columns, words, report.
 
     Messages, labels and the reasons in them are strings with a space in the modules. The docstring
@@ -217,7 +216,7 @@ def texts_of_the_program() -> Iterator[tuple[str, str]]:
         yield path.name, JINJA.sub(" ", text_of(path))
 
 
-def habits_of_a_text(text: str) -> list[str]:
+def habits_of_a_text(text):
     """The habits in a text of the program, whose names of keys and values are left out."""
     words = " ".join(CODE_WORDS.sub("X", text).split())
     return [

@@ -5,8 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import random
-from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pytest
 
 from tests.draws import SEED
 from tests.faults.extreme_tables import PLACE_COLUMNS, UTC
-from tests.faults.mutate import Recipe, Trial, recipes
+from tests.faults.mutate import Recipe, recipes
 from unbend.flight.channels import Channel
 from unbend.messages import Ledger, Message
 from unbend.tables.imports.stated import Stated
@@ -25,24 +24,24 @@ CORPUS = Path(__file__).with_name("corpus")
 
 
 @pytest.fixture(scope="session")
-def mutation_count() -> int:
+def mutation_count():
     return int(os.environ.get("UNBEND_MUTATIONS", "500"))
 
 
 @pytest.fixture(scope="session")
-def mutation_seed() -> int:
+def mutation_seed():
     return SEED * 1_000_000  # mutations have consecutive seeds: those of two days are others
 
 
 @pytest.fixture
 def run_mutations(
-    mutation_count: int,
-    mutation_seed: int,
+    mutation_count,
+    mutation_seed,
     record_property: Callable[[str, object], None],
-) -> Callable[[Trial], None]:
+):
     """Reads them all, none of which may fail."""
 
-    def run(trial: Trial) -> None:
+    def run(trial):
         for recipe in recipes(len(trial.logs), mutation_count, mutation_seed):
             trial.run(recipe)
         record_property("mutations", f"seed {mutation_seed}, {trial.summary()}")
@@ -52,7 +51,7 @@ def run_mutations(
 
 
 @pytest.fixture
-def run_cuts(mutation_count: int, mutation_seed: int) -> Callable[[Trial], Counter[str]]:
+def run_cuts(mutation_count, mutation_seed):
     """Cuts bytes from either end of the first log: 1 to 1,000 in `make faults`, else 150 of these.
 
     How often it ended how; it may not fail.
@@ -61,7 +60,7 @@ def run_cuts(mutation_count: int, mutation_seed: int) -> Callable[[Trial], Count
     if mutation_count <= 2000:
         cuts = random.Random(mutation_seed).sample(cuts, 150)
 
-    def run(trial: Trial) -> Counter[str]:
+    def run(trial):
         before = trial.ends.copy()
         data = trial.logs[0]
         for count in cuts:
@@ -74,10 +73,10 @@ def run_cuts(mutation_count: int, mutation_seed: int) -> Callable[[Trial], Count
 
 
 @pytest.fixture
-def write(tmp_path: Path) -> Callable[[str, Iterable[str]], Path]:
+def write(tmp_path):
     """Writes a text of these lines into the folder of the test; its path."""
 
-    def write_lines(name: str, lines: Iterable[str]) -> Path:
+    def write_lines(name, lines):
         path = tmp_path / name
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
         return path
@@ -89,9 +88,7 @@ def write(tmp_path: Path) -> Callable[[str, Iterable[str]], Path]:
 def trajectory_of(write):
     """Reads rows with places and more columns: the channel, and the losses by their codes."""
 
-    def read(
-        rows: list[str], stated: Stated = UTC, **more: str
-    ) -> tuple[Channel, dict[str, Message]]:
+    def read(rows, stated: Stated = UTC, **more) -> tuple[Channel, dict[str, Message]]:
         columns = {"time": "t"} | PLACE_COLUMNS | more
         path = write("flight.csv", [",".join(columns.values()), *rows])
         ledger = Ledger()
@@ -103,10 +100,10 @@ def trajectory_of(write):
 
 
 @pytest.fixture
-def run_corpus() -> Callable[[Trial, str, set[str]], None]:
+def run_corpus():
     """Reads what once failed in a format, which must end in one of these ways."""
 
-    def run(trial: Trial, name: str, allowed: set[str]) -> None:
+    def run(trial, name, allowed):
         before = list(trial.failures)
         with (CORPUS / f"{name}.csv").open(encoding="utf-8", newline="") as stream:
             for row in csv.DictReader(stream):

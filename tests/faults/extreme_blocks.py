@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import struct
 import tempfile
 from functools import cache
@@ -36,7 +35,7 @@ BLOCK_PROGRAMS = {
 """Programs, and the path in a folder that is given to the reader."""
 
 
-def read_block(path: Path, program: str) -> object:
+def read_block(path, program):
     """All that a block is read for."""
     reader = blocks.block_reader(program)
     with blocks.damage_refused(path, program):
@@ -52,7 +51,7 @@ def read_block(path: Path, program: str) -> object:
 
 
 @cache
-def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
+def small_blocks():
     """By kind: the path in the folder that is given to the reader, and the files of a block."""
     block = SmallBlock.make()
     block.names, block.lat, block.lon, block.h = (
@@ -90,25 +89,25 @@ def small_blocks() -> dict[str, tuple[str, dict[str, str]]]:
     return kinds
 
 
-def first_row(lines: list[str]) -> int:
+def first_row(lines):
     """The index of the first line that is neither empty nor a remark."""
     return next(k for k, line in enumerate(lines) if line and not line.startswith("#"))
 
 
-def block_reader(program: str) -> Reader:
+def block_reader(program) -> Reader:
     """A block of a program, which is written when it is drawn the first time."""
 
-    def write(folder: Path, draw: random.Random) -> None:
+    def write(folder, draw):
         of_texts(small_blocks()[program][1], read).write(folder, draw)
 
-    def read(folder: Path) -> object:
+    def read(folder):
         start = small_blocks()[program][0]
         return read_block(folder / start, program)
 
     return Reader(write, read)
 
 
-def write_colmap_binary(folder: Path, draw: random.Random) -> None:
+def write_colmap_binary(folder, draw):
     """A model of one camera, two images and two points; one of its numbers is at its limits."""
     parts = {
         "cameras.bin": [
@@ -146,7 +145,7 @@ def write_colmap_binary(folder: Path, draw: random.Random) -> None:
         (folder / name).write_bytes(content)
 
 
-def expanded(form: str) -> str:
+def expanded(form):
     """The letters of a form of struct without counts: 3dB as dddB.
 
     >>> expanded("i2dQ")
@@ -199,7 +198,7 @@ TAG_ROWS = {
 }
 
 
-def read_all_tags(path: Path) -> object:
+def read_all_tags(path):
     """Times and positions, and gimbal angles, each of which may be refused."""
     times = with_ledger(lambda ledger: read_image_times(path, "", ledger))
     try:
@@ -229,14 +228,14 @@ TEXTS = (
 )
 
 
-def tag(number: int, kind: int, count: int, content: bytes, at: int) -> tuple[bytes, bytes]:
+def tag(number, kind, count, content, at):
     """An entry of a directory of TIFF, and what stands behind the directories for it."""
     if len(content) <= 4:
         return struct.pack("<HHI4s", number, kind, count, content.ljust(4, b"\0")), b""
     return struct.pack("<HHII", number, kind, count, at), content
 
 
-def directory(entries: list[tuple[int, int, int, bytes]], begin: int) -> bytes:
+def directory(entries, begin):
     """A directory of TIFF that begins at an offset, and its contents."""
     head = struct.pack("<H", len(entries))
     behind = b""
@@ -248,7 +247,7 @@ def directory(entries: list[tuple[int, int, int, bytes]], begin: int) -> bytes:
     return head + bytes(4) + behind
 
 
-def rationals(count: int, draw: random.Random) -> bytes:
+def rationals(count, draw):
     values = [draw.choice(RATIONALS) for _ in range(count)]
     return b"".join(struct.pack("<II", *value) for value in values)
 
@@ -263,7 +262,7 @@ XMP = (
 )
 
 
-def write_images(folder: Path, draw: random.Random) -> None:
+def write_images(folder, draw):
     """Five JPEGs whose tags of EXIF and XMP are at their limits."""
     for k in range(5):
         original = draw.choice(TEXTS)

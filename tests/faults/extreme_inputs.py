@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -99,7 +98,7 @@ class Reader:
     read: Callable[[Path], object]
 
 
-def extreme_fields(text: str, draw: random.Random) -> str:
+def extreme_fields(text, draw):
     """A text some of whose fields, or the numbers in them, are at their limits.
 
     One field, some, or those in one place of every line. The word may keep the width of the field,
@@ -123,9 +122,7 @@ def extreme_fields(text: str, draw: random.Random) -> str:
     return "\n".join(lines)
 
 
-def _chosen(
-    fields: Sequence[tuple[int, re.Match[str]]], draw: random.Random
-) -> list[tuple[int, re.Match[str]]]:
+def _chosen(fields, draw):
     """Fields by row: one, some, or one column."""
     how = draw.random()
     if how < 0.4:
@@ -133,8 +130,8 @@ def _chosen(
     if how < 0.6:
         share = draw.choice((0.02, 0.2, 1.0))
         return [field for field in fields if draw.random() < share]
-    places: dict[int, int] = {}
-    in_columns: dict[int, list[tuple[int, re.Match[str]]]] = {}
+    places = {}
+    in_columns = {}
     for row, field in fields:
         place = places.get(row, 0)
         places[row] = place + 1
@@ -142,10 +139,10 @@ def _chosen(
     return in_columns[draw.choice(list(in_columns))]
 
 
-def of_texts(files: Mapping[str, str], read: Callable[[Path], object]) -> Reader:
+def of_texts(files, read: Callable[[Path], object]) -> Reader:
     """A kind whose input are files of text by name, one of which has the extreme fields."""
 
-    def write(folder: Path, draw: random.Random) -> None:
+    def write(folder, draw):
         spoilt = draw.choice(list(files))
         for name, text in files.items():
             content = extreme_fields(text, draw) if name == spoilt else text
@@ -156,10 +153,10 @@ def of_texts(files: Mapping[str, str], read: Callable[[Path], object]) -> Reader
     return Reader(write, read)
 
 
-def of_text(name: str, text: str, read: Callable[[Path, Ledger], object]) -> Reader:
+def of_text(name, text, read: Callable[[Path, Ledger], object]) -> Reader:
     """A kind whose input is one file of text."""
 
-    def read_folder(folder: Path) -> object:
+    def read_folder(folder):
         return with_ledger(lambda ledger: read(folder / name, ledger))
 
     return of_texts({name: text}, read_folder)
@@ -171,7 +168,7 @@ NUMBERS = (
 )  # fmt: skip
 
 
-def extreme_numbers(values: np.ndarray, draw: random.Random) -> np.ndarray:
+def extreme_numbers(values, draw):
     """Numbers some of which are at the limits of their type: one, or those of a column, or all."""
     changed = values.copy()
     flat = changed.reshape(-1, changed.shape[-1] if changed.ndim else 1)
@@ -181,7 +178,7 @@ def extreme_numbers(values: np.ndarray, draw: random.Random) -> np.ndarray:
     return flat.reshape(values.shape)
 
 
-def extreme_number(kind: np.dtype[Any], draw: random.Random) -> Any:
+def extreme_number(kind, draw):
     """A value at the limits of a type of numpy."""
     if kind.kind == "f":
         with np.errstate(over="ignore"):
@@ -204,7 +201,7 @@ LATEST_NS = 7_258_118_400 * 10**9  # 2200
 NO_TIME = -(2**63)
 
 
-def impossible_values(value: object, name: str = "result") -> Iterator[str]:
+def impossible_values(value, name="result"):
     """What of a result no measurement can be, by the names that lead to it."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "f":
         known = value[~np.isnan(value)].astype(np.float64)
@@ -226,7 +223,7 @@ def impossible_values(value: object, name: str = "result") -> Iterator[str]:
         yield from impossible_values(vars(value), name)
 
 
-def with_ledger(read: Callable[[Ledger], object]) -> object:
+def with_ledger(read: Callable[[Ledger], object]):
     """What a reader returns, its ledger's sentences written as a report does it."""
     ledger = Ledger()
     result = read(ledger)

@@ -1,11 +1,6 @@
 """Mission and campaign files with values at their limits."""
 
-from __future__ import annotations
-
-import random
 from functools import cache, cached_property
-from pathlib import Path
-from typing import Any
 
 import yaml
 from pydantic import BaseModel
@@ -54,7 +49,7 @@ YAML_WORDS = (
 
 
 @cache
-def mission_texts() -> dict[str, str]:
+def mission_texts():
     """Mission files of all kinds, written one key a line."""
     kinds = {
         "full": missions.FULL,
@@ -71,15 +66,15 @@ def mission_texts() -> dict[str, str]:
     }
 
 
-def _without_aliases() -> Any:
+def _without_aliases():
     class Dumper(yaml.SafeDumper):
-        def ignore_aliases(self, data: Any) -> bool:
+        def ignore_aliases(self, data):
             return True
 
     return Dumper
 
 
-def extreme_mission(text: str, draw: random.Random) -> str:
+def extreme_mission(text, draw):
     """A mission file one to three of whose values are at their limits."""
     lines = text.splitlines()
     for _ in range(draw.choice((1, 1, 1, 3))):
@@ -96,13 +91,13 @@ def extreme_mission(text: str, draw: random.Random) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_mission(folder: Path, draw: random.Random) -> None:
+def write_mission(folder, draw):
     texts = mission_texts()
     text = texts[draw.choice(list(texts))]
     (folder / "mission.yaml").write_text(extreme_mission(text, draw), encoding="utf-8")
 
 
-def write_campaign(folder: Path, draw: random.Random) -> None:
+def write_campaign(folder, draw):
     """A campaign with defaults and a mission that stands in its file."""
     texts = mission_texts()
     text = extreme_mission(texts["full"], draw)
@@ -112,7 +107,7 @@ def write_campaign(folder: Path, draw: random.Random) -> None:
     (folder / "campaign.yaml").write_text(content, encoding="utf-8")
 
 
-def derived_values(section: object) -> None:
+def derived_values(section):
     """Ask a section, and those in it, for all that follows from its values."""
     if isinstance(section, dict):
         for inner in section.values():
@@ -129,7 +124,7 @@ def derived_values(section: object) -> None:
             derived_values(getattr(section, name))
 
 
-def ask(section: object, name: str) -> None:
+def ask(section, name):
     """Compute a property; that of a camera in a file, which is not there, cannot be."""
     try:
         getattr(section, name)
@@ -138,11 +133,11 @@ def ask(section: object, name: str) -> None:
             raise
 
 
-def read_mission(folder: Path) -> None:
+def read_mission(folder):
     derived_values(load_mission(folder / "mission.yaml"))
 
 
-def read_campaign(folder: Path) -> None:
+def read_campaign(folder):
     missions, _ = open_configs([folder / "campaign.yaml"])
     for mission in missions:
         derived_values(mission.load())

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -43,7 +41,7 @@ NOON_NS = UNIX_S * 10**9
 DAY = "2026-05-06"
 
 
-def table(head: str, row: Callable[[int], str]) -> str:
+def table(head, row: Callable[[int], str]):
     """The text of a table with `ROWS`."""
     return "\n".join([head, *(row(k) for k in ROWS)]) + "\n"
 
@@ -56,9 +54,7 @@ GPST = Stated(time_system="gpst", heights="ellipsoid", around_ns=(NOON_NS, NOON_
 UTC = Stated(time_system="utc", heights="msl", around_ns=(NOON_NS, NOON_NS + 10**11))
 
 
-def trajectory(
-    head: str, row: Callable[[int], str], columns: dict[str, str], stated: Stated
-) -> Reader:
+def trajectory(head, row: Callable[[int], str], columns, stated) -> Reader:
     """A trajectory as CSV; ``row`` writes what stands before the place and the attitude."""
     whole = replace(stated, columns={"time": "t", **columns})
     text = table(head, row)
@@ -67,7 +63,7 @@ def trajectory(
     )
 
 
-def place(k: int) -> str:
+def place(k):
     return f"{47.3 + 1e-4 * k:.6f},{8.5 + 2e-4 * k:.6f},{1500.0 + k:.2f}"
 
 
@@ -115,12 +111,12 @@ POS_TAIL = "Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  
 POS_SIGMAS = "1  12   0.0110   0.0070   0.0210   0.0010  -0.0020   0.0030   0.00    9.9"
 
 
-def pos(titles: str, row: Callable[[int], str]) -> Reader:
+def pos(titles, row: Callable[[int], str]) -> Reader:
     text = table(POS_HEAD + titles + POS_TAIL, lambda k: f"{row(k)} {POS_SIGMAS}")
     return of_text("flight.pos", text, lambda path, ledger: read_pos(path, Stated(), ledger))
 
 
-def clock(k: int) -> str:
+def clock(k):
     return f"2026/05/06 12:00:{k:02d}.250"
 
 
@@ -165,14 +161,14 @@ EO_TEXT = table(
 )
 
 
-def events_of(name: str, text: str, read: Callable[..., object]) -> Reader:
+def events_of(name, text, read: Callable[..., object]) -> Reader:
     return of_text(name, text, lambda path, ledger: read(path, GPST, ledger))
 
 
 OPK = {"omega": "o", "phi": "p", "kappa": "k"}
 
 
-def orientation(text: str, columns: dict[str, str], unit: Any = "deg") -> Reader:
+def orientation(text, columns, unit="deg") -> Reader:
     stated = Stated(columns={"image": "image", **columns}, angle_unit=unit)
     return of_text("block.csv", text, lambda path, ledger: read_orientation(path, stated, ledger))
 
@@ -210,7 +206,7 @@ DATES = {"image": "i", "time_utc": "t"}
 WEEKS = {"image": "i", "gps_week": "w", "gps_seconds": "s"}
 
 
-def read_points(path: Path, _: Ledger) -> object:
+def read_points(path, _: Ledger):
     columns = {"point": "p", "x": "x", "y": "y", "height": "h"}
     return read_object_points(path, columns, key="key")
 
@@ -270,7 +266,7 @@ COLUMN_TYPES = (
 )
 
 
-def read_observations(path: Path, ledger: Ledger) -> object:
+def read_observations(path, ledger):
     opened = open_observations(
         path, OBSERVATION_NAMES, "h_g_m", ledger, sigma_column="s", most_rows=5
     )
@@ -279,7 +275,7 @@ def read_observations(path: Path, ledger: Ledger) -> object:
     return [(batch.x_px, batch.y_px, batch.ground, batch.distance_m) for batch in batches]
 
 
-def extreme_column(kind: pa.DataType, count: int, draw: random.Random) -> pa.Array:
+def extreme_column(kind: pa.DataType, count, draw) -> pa.Array:
     """A column of a type with values at its limits."""
     if pa.types.is_null(kind):
         return pa.nulls(count)
@@ -303,16 +299,16 @@ def extreme_column(kind: pa.DataType, count: int, draw: random.Random) -> pa.Arr
     return pa.array([extreme_number(dtype, draw) for _ in range(count)], kind)
 
 
-def of_parquet(sound: dict[str, Any], read: Callable[[Path, Ledger], object]) -> Reader:
+def of_parquet(sound, read: Callable[[Path, Ledger], object]) -> Reader:
     """A table one of whose columns has another type and values at its limits."""
 
-    def write(folder: Path, draw: random.Random) -> None:
+    def write(folder, draw):
         columns = {key: pa.array(values) for key, values in sound.items()}
         for key in draw.sample(list(columns), draw.choice((1, 1, 2))):
             columns[key] = extreme_column(draw.choice(COLUMN_TYPES), len(ROWS), draw)
         pq.write_table(pa.table(columns), folder / "t.parquet", coerce_timestamps=None)
 
-    def read_folder(folder: Path) -> object:
+    def read_folder(folder):
         return with_ledger(lambda ledger: read(folder / "t.parquet", ledger))
 
     return Reader(write, read_folder)
@@ -340,7 +336,7 @@ OBSERVATIONS = {
 # SBET
 
 
-def write_doubles(path: Path, values: np.ndarray) -> None:
+def write_doubles(path, values):
     """As SBET and smrmsg are."""
     path.write_bytes(values.astype("<f8").tobytes())
 
@@ -349,16 +345,16 @@ SBET = Flight(Path(), 0.1 * np.arange(20)).sbet_rows()
 SMRMSG = np.array([[TOW + 0.2 * k, *[0.03] * 6, 0.6, 0.8, 3.0] for k in range(-2, 20)])
 
 
-def write_sbet(folder: Path, draw: random.Random) -> None:
+def write_sbet(folder, draw):
     write_doubles(folder / "sbet.out", extreme_numbers(SBET, draw))
 
 
-def write_smrmsg(folder: Path, draw: random.Random) -> None:
+def write_smrmsg(folder, draw):
     write_doubles(folder / "sbet.out", SBET)
     write_doubles(folder / "sigmas.out", extreme_numbers(SMRMSG, draw))
 
 
-def read_sbet_of(folder: Path, accuracy: str = "") -> object:
+def read_sbet_of(folder, accuracy=""):
     stated = replace(GPST, accuracy=folder / accuracy) if accuracy else GPST
     return with_ledger(lambda ledger: read_sbet(folder / "sbet.out", stated, ledger))
 

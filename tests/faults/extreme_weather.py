@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from functools import cache
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from tests.faults.extreme_tables import DAY, NOON_NS, UNIX_S
 from tests.tables.arm_sounding import CELSIUS, HECTOPASCAL, HEIGHT, VARIABLES, write_arm
 from tests.tables.test_model_fields import still_air
 from unbend.atmosphere.surface_report import parse_metar
-from unbend.messages import Ledger
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.model_fields import FlightArea, read_model_field
 from unbend.tables.soundings import read_sounding
@@ -53,8 +51,8 @@ Station information and sounding indices
 REPORT = "METAR LOWW 061150Z 24011KT 9999 SCT040 M05/M10 Q1013 A2992 NOSIG RMK T10521098"
 
 
-def sounding_of(text: str, format_name: str = "auto") -> Reader:
-    def read(path: Path, ledger: Ledger) -> object:
+def sounding_of(text, format_name="auto") -> Reader:
+    def read(path, ledger):
         return read_sounding(
             path,
             ledger,
@@ -67,12 +65,12 @@ def sounding_of(text: str, format_name: str = "auto") -> Reader:
     return of_text("s.txt", text, read)
 
 
-def head_of(name: str, lines: int = 30) -> str:
+def head_of(name, lines=30):
     text = next(SOUNDINGS.glob(name)).read_text(encoding="utf-8")
     return "\n".join(text.splitlines()[:lines]) + "\n"
 
 
-def write_extreme_arm(folder: Path, draw: random.Random) -> None:
+def write_extreme_arm(folder, draw):
     """The netCDF of a radiosonde, two of whose variables are at their limits."""
     columns = VARIABLES | {"base_time": np.array(UNIX_S, "i4")}
     for name in draw.sample(list(columns), 2):
@@ -113,7 +111,7 @@ def weather_model() -> Dataset:
     return model_files.dataset(still_air, latitude_deg, longitude_deg, [*times], levels)
 
 
-def write_model(folder: Path, draw: random.Random) -> None:
+def write_model(folder, draw):
     """The netCDF of a weather model, two of whose variables are at their limits."""
     fields = weather_model()
     columns = {name: fields[name].values for name in WEATHER_NAMES}
@@ -138,7 +136,7 @@ def write_model(folder: Path, draw: random.Random) -> None:
                 variable.units = units[name]
 
 
-def read_weather_model(path: Path) -> object:
+def read_weather_model(path):
     area = FlightArea(
         np.radians([47.2, 47.3]), np.radians([8.4, 8.6]), np.array([NOON_NS, NOON_NS + 10**9])
     )
@@ -146,7 +144,7 @@ def read_weather_model(path: Path) -> object:
     return with_ledger(lambda ledger: read_model_field(path, area, ledger))
 
 
-def read_report(path: Path, ledger: Ledger) -> object:
+def read_report(path, ledger):
     text = path.read_text(encoding="utf-8")
     return parse_metar(text, 183.0, ledger, flight_ns=NOON_NS)
 
@@ -174,7 +172,7 @@ WEATHER = {
 # Grids
 
 
-def write_gtx(folder: Path, draw: random.Random) -> None:
+def write_gtx(folder, draw):
     """A geoid whose head or values are at their limits."""
     head = np.array([46.0, 7.0, 0.25, 0.25])
     size = np.array([5, 6], "i4")
@@ -190,7 +188,7 @@ def write_gtx(folder: Path, draw: random.Random) -> None:
     (folder / "g.gtx").write_bytes(content + values.astype(">f4").tobytes())
 
 
-def read_gtx(folder: Path) -> object:
+def read_gtx(folder):
     grid = read_geoid(folder / "g.gtx")
     return grid.undulation(np.radians([46.5, -89.0]), np.radians([8.0, 179.0]))
 

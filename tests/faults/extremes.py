@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
@@ -48,14 +47,12 @@ JSON_VALUES = (
 )
 
 
-def extreme_value(letter: str, draw: random.Random) -> Any:
+def extreme_value(letter, draw):
     """A value at a limit of a letter of struct."""
     return extreme_number(np.dtype(letter), draw).item()
 
 
-def packed_extremes(
-    layout: str, values: Sequence[Any], changed: set[int], draw: random.Random
-) -> bytes:
+def packed_extremes(layout, values, changed, draw):
     """Values packed by the letters of struct, those at some places at their limits."""
     result = list(values)
     for place in changed:
@@ -64,11 +61,11 @@ def packed_extremes(
     return struct.pack("<" + layout, *result)
 
 
-def some_places(count: int, draw: random.Random) -> set[int]:
+def some_places(count, draw):
     return {k for k in range(count) if draw.random() < 0.3} or {draw.randrange(count)}
 
 
-DATAFLASH_ROWS: dict[str, tuple[str, dict[str, Any]]] = {
+DATAFLASH_ROWS = {
     # letters of FMT; usual values
     "GPS": (
         "QBIHBcLLefffB",
@@ -113,14 +110,14 @@ LETTERS_OF_STRUCT = str.maketrans("cCeELg", "hHiIie")
 """Of those letters of FMT that struct has in another sense: scaled numbers, and half floats."""
 
 
-def extreme_dataflash(draw: random.Random) -> bytes:
+def extreme_dataflash(draw):
     """Some rows with values at their limits; a definition may come again with other letters."""
     parts = [hostile.definition_of("FMT")]
     numbers = {name: 150 + k for k, name in enumerate(DATAFLASH_ROWS)}
     changed = {name: some_places(len(row[0]), draw) for name, row in DATAFLASH_ROWS.items()}
-    layouts: dict[str, str] = {}
+    layouts = {}
 
-    def define(name: str, letters: str) -> None:
+    def define(name, letters):
         columns = ",".join(DATAFLASH_ROWS[name][1])
         layouts[name] = letters.translate(LETTERS_OF_STRUCT)
         length = 3 + struct.calcsize("<" + layouts[name])
@@ -133,7 +130,7 @@ def extreme_dataflash(draw: random.Random) -> bytes:
         for name, (letters, usual) in DATAFLASH_ROWS.items():
             if draw.random() < 0.01:
                 define(name, "".join(draw.choice(LETTERS_OF_NUMBERS) for _ in letters))
-            values: list[Any] = []
+            values = []
             for field, letter, value in zip(usual, layouts[name], usual.values(), strict=True):
                 now = 5_000_000 + 200_000 * k if field == "TimeUS" else value
                 if letter in "efd":
@@ -147,7 +144,7 @@ def extreme_dataflash(draw: random.Random) -> bytes:
     return b"".join(parts)
 
 
-def extreme_text(draw: random.Random) -> bytes:
+def extreme_text(draw):
     """Lines with odd words in the place of some values."""
     lines = [hostile.BARO_LINES[0]]
     for k, (name, (letters, usual)) in enumerate(DATAFLASH_ROWS.items()):
@@ -187,7 +184,7 @@ ULOG_TOPICS = {
 }
 
 
-def extreme_ulog(draw: random.Random) -> bytes:
+def extreme_ulog(draw):
     """Rows with values at their limits, and information and parameters too."""
     data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000) + hostile.ulog_message("B", bytes(40))
     for name, (_, fields, _) in ULOG_TOPICS.items():
@@ -214,7 +211,7 @@ def extreme_ulog(draw: random.Random) -> bytes:
     return data
 
 
-TLOG_MESSAGES: dict[str, dict[str, Any]] = {
+TLOG_MESSAGES = {
     "system_time": {},
     "attitude": {},
     "gps_raw_int": {
@@ -246,7 +243,7 @@ LETTERS_OF_MAVLINK = {
 }
 
 
-def letters_of(kind: type) -> dict[str, str]:
+def letters_of(kind):
     """The letters of struct of a message of pymavlink, by its fields of one number."""
     letters = {}
     blank = blank_fields(kind)
@@ -256,7 +253,7 @@ def letters_of(kind: type) -> dict[str, str]:
     return letters
 
 
-def extreme_tlog(draw: random.Random) -> bytes:
+def extreme_tlog(draw):
     """Frames whose checksums hold, with values and stamps of reception at their limits."""
     share = draw.choice((0.02, 0.5, 1.0))
     stamp_share = draw.choice((0.0, 0.0, 0.1))
@@ -287,7 +284,7 @@ def extreme_tlog(draw: random.Random) -> bytes:
     return writer.data
 
 
-def extreme_mcap(draw: random.Random) -> bytes:
+def extreme_mcap(draw):
     """Messages of CDR, JSON and PX4 with times and values at their limits."""
     kinds = {
         1: (
@@ -366,6 +363,6 @@ EXTREME: dict[str, Callable[[random.Random], bytes]] = {
 }
 
 
-def extreme_log(suffix: str, seed: int) -> bytes:
+def extreme_log(suffix, seed):
     """The log of a format that a seed draws."""
     return EXTREME[suffix](random.Random(f"{suffix} {seed}"))

@@ -6,7 +6,7 @@ are proportional to it, except where they are compressed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from struct import pack
 
@@ -42,15 +42,15 @@ class Hostile:
 # MCAP: records as its specification has them.
 
 
-def record(opcode: int, content: bytes) -> bytes:
+def record(opcode, content):
     return pack("<BQ", opcode, len(content)) + content
 
 
-def text(value: str) -> bytes:
+def text(value):
     return pack("<I", len(value)) + value.encode()
 
 
-def packed_chunk(compression: str, promised: int, content: bytes, crc: int = 0) -> bytes:
+def packed_chunk(compression, promised, content, crc=0):
     """A chunk that promises so many bytes."""
     head = pack(
         "<QQQI",
@@ -62,7 +62,7 @@ def packed_chunk(compression: str, promised: int, content: bytes, crc: int = 0) 
     return record(6, head + pack("<Q", len(content)) + content)
 
 
-def chunk(records: bytes) -> bytes:
+def chunk(records):
     """Records in a chunk that zstd has compressed."""
     import zstandard
 
@@ -70,7 +70,7 @@ def chunk(records: bytes) -> bytes:
     return packed_chunk("zstd", len(records), content)
 
 
-def mcap(records: bytes) -> bytes:
+def mcap(records):
     """A file of these records, without a summary."""
     magic = b"\x89MCAP0\r\n"
     begin = record(1, text("ros2") + text("hostile"))
@@ -78,50 +78,45 @@ def mcap(records: bytes) -> bytes:
     return magic + begin + records + end + magic
 
 
-def schema(number: int, name: str, definition: str) -> bytes:
+def schema(number, name, definition):
     """A message of ROS."""
     content = pack("<H", number) + text(name) + text("ros2msg") + text(definition)
     return record(3, content)
 
 
-def channel(
-    number: int,
-    schema_number: int,
-    topic: str,
-    encoding: str,
-) -> bytes:
+def channel(number, schema_number, topic, encoding):
     head = pack("<HH", number, schema_number)
     content = head + text(topic) + text(encoding) + pack("<I", 0)
     return record(4, content)
 
 
-def message(number: int, k: int, content: bytes) -> bytes:
+def message(number, k, content):
     time_ns = START_NS + k * 10_000_000
     return record(5, pack("<HIQQ", number, k, time_ns, time_ns) + content)
 
 
-def stamped(k: int, frame: bytes = b"b\0") -> bytes:
+def stamped(k, frame=b"b\0"):
     """CDR: the header of a message of ROS, its text with the NUL; padded to 8 bytes."""
     seconds, part_ns = divmod(START_NS + k * 10_000_000, 10**9)
     data = pack("<iII", seconds, part_ns, len(frame)) + frame
     return padded(data, 8)
 
 
-def padded(data: bytes, step: int) -> bytes:
+def padded(data, step):
     """Zeros up to the next multiple of the step."""
     return data + bytes(-len(data) % step)
 
 
-def pressure(number: int, k: int, pressure_pa: float) -> bytes:
+def pressure(number, k, pressure_pa):
     """A message of static pressure."""
     return message(number, k, CDR + stamped(k) + pack("<d", pressure_pa))
 
 
-def pressures(count: int) -> bytes:
+def pressures(count):
     return b"".join(pressure(1, k, 9e4 - k) for k in range(count))
 
 
-def stamped_schema(number: int, name: str, fields: str) -> bytes:
+def stamped_schema(number, name, fields):
     """A message of ROS with a header."""
     return schema(number, name, f"std_msgs/Header header\n{fields}{HEADER_OF_ROS}")
 
@@ -130,12 +125,18 @@ PRESSURE = stamped_schema(1, FLUID_PRESSURE, "float64 fluid_pressure\n")
 AIR = PRESSURE + channel(1, 1, "/air", "cdr")
 
 
-def beside_air(definitions: bytes, rows: bytes) -> bytes:
+def beside_air(definitions, rows):
     """A log of thirty pressures, and of messages of others in a chunk."""
     return mcap(AIR + pressures(30) + definitions + chunk(rows))
 
 
-def elements_of_bytes(n: int) -> bytes:
+def before_a_pressure(definitions, content):
+    """A log of a message whose wanted field stands behind this content; compressed."""
+    content = padded(content, 8) + pack("<d", 9e4)
+    return beside_air(definitions, message(2, 0, CDR + content))
+
+
+def elements_of_bytes(n):
     """Three sequences of n elements of two bytes each, before the wanted field; compressed."""
     fields = "a/Pair[] a\na/Pair[] b\na/Pair[] c\nfloat64 fluid_pressure\n"
     pair = "\n===\nMSG: a/Pair\nuint8 x\nuint8 y\n"
@@ -145,22 +146,20 @@ def elements_of_bytes(n: int) -> bytes:
     content = stamped(0)
     for _ in range(3):
         content = padded(content, 4) + pack("<I", n) + bytes(2 * n)
-    content = padded(content, 8) + pack("<d", 9e4)
     # messages longer than 64 KiB are not kept whole: many shorter ones cost the same
-    return beside_air(definitions, message(2, 0, CDR + content))
+    return before_a_pressure(definitions, content)
 
 
-def elements_of_texts(n: int) -> bytes:
+def elements_of_texts(n):
     """A sequence of n texts before the wanted field; compressed."""
     fields = "string[] words\nfloat64 fluid_pressure\n"
     definitions = stamped_schema(2, FLUID_PRESSURE, fields)
     definitions += channel(2, 2, "/words", "cdr")
     content = stamped(0) + pack("<I", n) + bytes(4 * n)
-    content = padded(content, 8) + pack("<d", 9e4)
-    return beside_air(definitions, message(2, 0, CDR + content))
+    return before_a_pressure(definitions, content)
 
 
-def new_keys(n: int) -> bytes:
+def new_keys(n):
     """n messages of JSON, each with 300 keys that no other has; compressed."""
     rows = []
     for k in range(n):
@@ -170,7 +169,7 @@ def new_keys(n: int) -> bytes:
     return beside_air(channel(2, 0, "/json", "json"), b"".join(rows))
 
 
-def long_names(n: int) -> bytes:
+def long_names(n):
     """A text of 50 n letters in one exposure among n others; compressed."""
     definitions = stamped_schema(
         2,
@@ -187,25 +186,25 @@ def long_names(n: int) -> bytes:
     return beside_air(definitions, b"".join(rows))
 
 
-def chunks_of(row: bytes, n: int) -> bytes:
+def chunks_of(row, n):
     """A record n times, 100,000 in a chunk."""
     sizes = [min(100_000, n - done) for done in range(0, n, 100_000)]
     return b"".join(chunk(row * size) for size in sizes)
 
 
-def minimal_messages(n: int) -> bytes:
+def minimal_messages(n):
     """n messages without content that take nearly no bytes; compressed."""
     definitions = PRESSURE + channel(2, 1, "/empty", "cdr")
     rows = chunks_of(message(2, 0, b""), n)
     return mcap(AIR + pressures(30) + definitions + rows)
 
 
-def minimal_values(n: int) -> bytes:
+def minimal_values(n):
     """n messages of pressure that are all the same; compressed."""
     return mcap(AIR + chunks_of(pressure(1, 0, 9e4), n))
 
 
-def tiny_chunks(n: int) -> bytes:
+def tiny_chunks(n):
     """n chunks with a message each, and as many without any."""
     parts = []
     for k in range(n):
@@ -213,7 +212,7 @@ def tiny_chunks(n: int) -> bytes:
     return mcap(AIR + b"".join(parts))
 
 
-def many_channels(n: int) -> bytes:
+def many_channels(n):
     """n topics with a message each."""
     parts = [PRESSURE]
     for k in range(n):
@@ -225,12 +224,7 @@ def many_channels(n: int) -> bytes:
 # DataFlash as text and in binary.
 
 
-def definition_line(
-    number: int,
-    name: str,
-    letters: str,
-    columns: str,
-) -> str:
+def definition_line(number, name, letters, columns):
     length = 3 + 8 * len(letters)
     return f"FMT, {number}, {length}, {name}, {letters}, {columns}"
 
@@ -241,16 +235,16 @@ BARO_LINES = [
 ]
 
 
-def baro_lines(count: int, from_us: int = 1_000_000) -> Iterable[str]:
+def baro_lines(count, from_us=1_000_000):
     for k in range(count):
         yield f"BARO, {from_us + 100_000 * k}, 0, {90_000 - k}.5, 20.25"
 
 
-def text_log(lines: Iterable[str]) -> bytes:
+def text_log(lines):
     return "\n".join([*lines, ""]).encode()
 
 
-def redefined_lines(n: int) -> bytes:
+def redefined_lines(n):
     """n times a new definition of GPS, and a row of it."""
     lines = [*BARO_LINES, *baro_lines(30)]
     for k in range(n):
@@ -260,7 +254,7 @@ def redefined_lines(n: int) -> bytes:
     return text_log(lines)
 
 
-def defined_in_turns(n: int) -> bytes:
+def defined_in_turns(n):
     """n new message types, each defined once and with a row."""
     lines = [*BARO_LINES, *baro_lines(30)]
     for k in range(n):
@@ -269,7 +263,7 @@ def defined_in_turns(n: int) -> bytes:
     return text_log(lines)
 
 
-def boots_as_text(n: int) -> bytes:
+def boots_as_text(n):
     """n power-ups of thirty rows, with a fix each."""
     lines = [
         *BARO_LINES,
@@ -284,22 +278,16 @@ def boots_as_text(n: int) -> bytes:
     return text_log(lines)
 
 
-def packed(name: str, **values: object) -> bytes:
+def packed(name, **values):
     """A record of DataFlash whose other fields are zero."""
     form = FORMATS[name]
-    blank: dict[str, object] = {}
+    blank = {}
     for field, letter in zip(form.columns.split(","), form.format, strict=True):
         blank[field] = b"" if letter in "nNZ" else 0
     return form.pack(*(blank | values).values())
 
 
-def binary_definition(
-    type_id: int,
-    name: str,
-    letters: str,
-    columns: str,
-    length: int,
-) -> bytes:
+def binary_definition(type_id, name, letters, columns, length):
     return FORMATS["FMT"].pack(
         type_id,
         length,
@@ -309,7 +297,7 @@ def binary_definition(
     )
 
 
-def definition_of(name: str) -> bytes:
+def definition_of(name):
     form = FORMATS[name]
     length = 3 + form.struct.size
     return binary_definition(
@@ -321,23 +309,23 @@ def definition_of(name: str) -> bytes:
     )
 
 
-def baro_record(time_us: int, pressure_pa: float = 90_000.0) -> bytes:
+def baro_record(time_us, pressure_pa=90_000.0):
     return packed("BARO", TimeUS=time_us, Press=pressure_pa, Temp=20.0)
 
 
-def record_of_200(columns: bytes) -> bytes:
+def record_of_200(columns):
     """A record of the type that a builder defines."""
     return b"\xa3\x95" + bytes([200]) + columns
 
 
-def binary_log(records: bytes) -> bytes:
+def binary_log(records):
     data = definition_of("FMT") + definition_of("BARO")
     for k in range(30):
         data += baro_record(1_000_000 + 100_000 * k, 90_000.0 - k)
     return data + records
 
 
-def redefined_records(n: int) -> bytes:
+def redefined_records(n):
     """n times a new definition of one type, and a record of it."""
     parts = []
     for k in range(n):
@@ -346,7 +334,7 @@ def redefined_records(n: int) -> bytes:
     return binary_log(b"".join(parts))
 
 
-def redefined_in_turns(n: int) -> bytes:
+def redefined_in_turns(n):
     """One type that has two definitions in turns."""
     parts = []
     for k in range(n):
@@ -357,7 +345,7 @@ def redefined_in_turns(n: int) -> bytes:
     return binary_log(b"".join(parts))
 
 
-def boots_as_records(n: int) -> bytes:
+def boots_as_records(n):
     """n power-ups of a few records, with a fix each."""
     parts = [definition_of("GPS")]
     for boot in range(n):
@@ -376,7 +364,7 @@ def boots_as_records(n: int) -> bytes:
     return binary_log(b"".join(parts))
 
 
-def damage_again_and_again(n: int) -> bytes:
+def damage_again_and_again(n):
     """n times four records with a bad byte behind."""
     rows = b"".join(baro_record(5_000_000 + k) for k in range(4))
     return binary_log((rows + b"\xa3") * n)
@@ -385,19 +373,19 @@ def damage_again_and_again(n: int) -> bytes:
 # PX4.
 
 
-def ulog_message(kind: str, payload: bytes) -> bytes:
+def ulog_message(kind, payload):
     return pack("<HB", len(payload), ord(kind)) + payload
 
 
-def subscription(number: int, topic: str, instance: int = 0) -> bytes:
+def subscription(number, topic, instance=0):
     return ulog_message("A", pack("<BH", instance, number) + topic.encode())
 
 
-def baro_data(number: int, time_us: int, pressure_pa: float) -> bytes:
+def baro_data(number, time_us, pressure_pa):
     return ulog_message("D", pack("<HQ2f", number, time_us, pressure_pa, 20.0))
 
 
-def ulog(parts: Iterable[bytes]) -> bytes:
+def ulog(parts):
     head = b"ULog\x01\x12\x35\x01" + pack("<Q", 1000) + ulog_message("B", bytes(40))
     head += ulog_message("F", b"sensor_baro:uint64_t timestamp;float pressure;float temperature;")
     data = subscription(0, "sensor_baro")
@@ -411,7 +399,7 @@ def ulog(parts: Iterable[bytes]) -> bytes:
     return head + data
 
 
-def nested_formats(n: int) -> bytes:
+def nested_formats(n):
     """n topics of nested formats, each of which has as many fields as a message may have bytes."""
     parts = [ulog_message("F", b"a:uint8_t[250] x;"), ulog_message("F", b"b:a[250] y;")]
     for k in range(n):
@@ -420,7 +408,7 @@ def nested_formats(n: int) -> bytes:
     return ulog(parts)
 
 
-def many_topics(n: int) -> bytes:
+def many_topics(n):
     """n instances of the barometer, with a row each."""
     parts = []
     for k in range(n):
@@ -435,9 +423,7 @@ def many_topics(n: int) -> bytes:
 HOST_US = 1_700_000_000_000_000
 
 
-def send_pressure(
-    writer: MavlinkWriter, host_us: int, boot_ms: int, source: tuple[int, int] = (1, 1)
-) -> None:
+def send_pressure(writer: MavlinkWriter, host_us, boot_ms, source=(1, 1)):
     """A reading of 700 hPa at 45 degrees."""
     air = {
         "time_boot_ms": boot_ms,
@@ -447,7 +433,7 @@ def send_pressure(
     writer.send("scaled_pressure", host_us, source, **air)
 
 
-def boots_of_telemetry(n: int) -> bytes:
+def boots_of_telemetry(n):
     """n power-ups with UTC."""
     writer = MavlinkWriter()
     for boot in range(n):
@@ -464,7 +450,7 @@ def boots_of_telemetry(n: int) -> bytes:
     return writer.data
 
 
-def many_senders(n: int) -> bytes:
+def many_senders(n):
     """n systems and components with a row each."""
     writer = MavlinkWriter()
     for k in range(n):
@@ -479,7 +465,7 @@ def many_senders(n: int) -> bytes:
     return writer.data
 
 
-def unknown_ids(n: int) -> bytes:
+def unknown_ids(n):
     """n messages, and behind each a frame of another id that no dialect has."""
     writer = MavlinkWriter()
     for k in range(n):
@@ -502,7 +488,7 @@ def unknown_ids(n: int) -> bytes:
     return b"".join(parts)
 
 
-def named_values(n: int) -> bytes:
+def named_values(n):
     """n names of values with a row each."""
     writer = MavlinkWriter()
     for k in range(n):

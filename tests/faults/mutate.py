@@ -18,7 +18,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import NamedTuple
 
 from unbend.errors import LogError
@@ -38,11 +37,11 @@ class Recipe(NamedTuple):
     kind: int
     seed: int
 
-    def __str__(self) -> str:
+    def __str__(self):
         return f"({self.file}, {self.kind}, {self.seed})  # {KINDS[self.kind]}"
 
 
-def mutated(data: bytes, kind: int, seed: int) -> bytes:
+def mutated(data, kind, seed):
     """The bytes of a log after one damage."""
     draw = random.Random(seed * len(KINDS) + kind)
     place = draw.randrange(len(data))
@@ -64,14 +63,14 @@ def mutated(data: bytes, kind: int, seed: int) -> bytes:
     return data[:end] + data[place:]
 
 
-def recipes(files: int, count: int, first_seed: int = 0) -> Iterator[Recipe]:
+def recipes(files, count, first_seed=0) -> Iterator[Recipe]:
     """That many mutations: files and kinds take turns, every seed is used once."""
     for number in range(count):
         turn = first_seed + number
         yield Recipe(turn % files, turn // files % len(KINDS), turn)
 
 
-def work_unit_s() -> float:
+def work_unit_s():
     """CPU time [s] of a million steps of a Python loop here and now: 0.03 to 0.1 s.
 
     Limits of time are multiples of it, so that no test depends on the machine or on its load.
@@ -88,10 +87,10 @@ class Hang(Exception):  # noqa: N818
 
 
 @contextlib.contextmanager
-def limited(seconds: float) -> Iterator[None]:
+def limited(seconds):
     """A limit of CPU time for what runs inside."""
 
-    def stop(_: int, __: FrameType | None) -> None:
+    def stop(_, __):
         raise Hang(f"still reading after {seconds:.1f} s")
 
     kept = signal.signal(signal.SIGPROF, stop)
@@ -103,23 +102,23 @@ def limited(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, kept)
 
 
-def peak_bytes() -> int:
+def peak_bytes():
     """The most memory that this process has ever had."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def damage_reported(log: Log) -> bool:
+def damage_reported(log):
     """Whether a log says that something of it was lost, repaired or is doubtful."""
     is_told = any(entry.kind in ("loss", "warning") for entry in log.ledger)
     return bool(log.bad_bytes or log.lost_messages or is_told)
 
 
-def fewer(log: Log, whole: Log) -> int:
+def fewer(log, whole: Log):
     """How many messages of the whole log are not in this one, type by type."""
     return (Counter(whole.messages) - Counter(log.messages)).total()
 
 
-def renamed(log: Log, whole: Log) -> bool:
+def renamed(log, whole: Log):
     """Whether there are as many messages as in the whole log, but under other names."""
     return sum(log.messages.values()) == sum(whole.messages.values())
 
@@ -149,7 +148,7 @@ class Trial:
     unreported: list[Recipe] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         self.path = self.folder / f"mutated{self.suffix}"
         self.whole: list[Log] = []
         self.limit_s: list[float] = []
@@ -162,12 +161,12 @@ class Trial:
             self.limit_s.append(grace_s + 10.0 * (time.process_time() - begin))
             self.whole.append(whole)
 
-    def run(self, recipe: Recipe) -> str:
+    def run(self, recipe):
         """Read one mutation; how it ended."""
         data = mutated(self.logs[recipe.file], recipe.kind, recipe.seed)
         return self.examine(recipe.file, data, recipe)
 
-    def examine(self, file: int, data: bytes, name: object) -> str:
+    def examine(self, file, data, name):
         """Read these bytes in place of a log; how it ended."""
         self.path.write_bytes(data)
         before = peak_bytes()
@@ -185,7 +184,7 @@ class Trial:
         self.ends[end] += 1
         return end
 
-    def _end(self, file: int, log: Log, name: object) -> str:
+    def _end(self, file, log, name):
         for channel in log.channels:
             channel.__post_init__()  # shapes, and time that rises
         if damage_reported(log):
@@ -198,7 +197,7 @@ class Trial:
             self.unreported.append(name)
         return "unreported"
 
-    def summary(self) -> str:
+    def summary(self):
         """The count of each end, and the recipes that failed."""
         ends = ", ".join(f"{count} {end}" for end, count in sorted(self.ends.items()))
         return "\n".join([f"{self.ends.total()} mutations: {ends}", *self.failures[:20]])

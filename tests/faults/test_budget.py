@@ -4,19 +4,14 @@ Work is counted, not timed: calls of functions, each with the rows of the arrays
 hands. So a busy machine changes nothing, and a pass over all rows for each of many things shows.
 """
 
-from __future__ import annotations
-
 import gc
 import sys
 import tracemalloc
-from pathlib import Path
-from types import FrameType
-from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.faults.hostile import GROWING, Hostile
+from tests.faults.hostile import GROWING
 from tests.faults.mutate import limited, work_unit_s
 from tests.helpers import codes_of_losses
 from unbend.errors import LogError
@@ -38,10 +33,10 @@ UNITS_OF_MB = 30.0
 class Work:
     """Counts calls of functions, and the rows of the arrays of each when it returns."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.calls = 0.0
 
-    def __call__(self, frame: FrameType, event: str, _: Any) -> None:
+    def __call__(self, frame, event, _):
         if event == "return":
             rows = 0
             # numpy's own functions may search in an array without a pass over it
@@ -54,7 +49,7 @@ class Work:
         elif event == "c_call":
             self.calls += 0.2
 
-    def of_reading(self, path: Path) -> float:
+    def of_reading(self, path):
         """The work of reading a log, refused or not."""
         sys.setprofile(self)
         try:
@@ -64,7 +59,7 @@ class Work:
         return self.calls
 
 
-def read(path: Path) -> str:
+def read(path):
     """Read a log; its losses by code, or the code of its refusal."""
     try:
         log = open_log(path, needs_channels=False)
@@ -73,7 +68,7 @@ def read(path: Path) -> str:
     return " ".join(sorted(set(codes_of_losses(log.ledger))))
 
 
-def memory_of_reading(path: Path) -> int:
+def memory_of_reading(path):
     """The most memory [bytes] that reading a log takes."""
     gc.collect()
     tracemalloc.start()
@@ -84,7 +79,7 @@ def memory_of_reading(path: Path) -> int:
         tracemalloc.stop()
 
 
-def written(folder: Path, hostile: Hostile, n: int) -> Path:
+def written(folder, hostile, n):
     path = folder / f"hostile{hostile.suffix}"
     path.write_bytes(hostile.build(n))
     return path

@@ -42,7 +42,7 @@ class Kind:
     read: Callable[[Path], object]
 
 
-def write_heights(folder: Path, mean: float, spread: float) -> Path:
+def write_heights(folder, mean, spread):
     """A GeoTIFF of random numbers about a mean, in compressed tiles."""
     numbers = mean + spread * np.random.default_rng(1).standard_normal((300, 300))
     return write_raster(
@@ -56,7 +56,7 @@ def write_heights(folder: Path, mean: float, spread: float) -> Path:
     )
 
 
-def read_elevation(path: Path) -> object:
+def read_elevation(path):
     model, _ = open_elevation(
         [path],
         None,
@@ -68,13 +68,11 @@ def read_elevation(path: Path) -> object:
     return model.heights(*model.nodes(latitude_rad, longitude_rad))
 
 
-def read_undulations(path: Path) -> object:
+def read_undulations(path):
     return read_geoid(path).undulation(np.radians([46.5]), np.radians([8.5]))
 
 
-def standard_column(
-    latitude_rad: float, longitude_rad: float, time: np.datetime64
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def standard_column(latitude_rad, longitude_rad, time):
     """Heights, temperature, pressure and vapour pressure of the same air everywhere."""
     h_m = np.arange(0.0, 20_000.0, 100.0)
     temperature_k = np.maximum(288.15 - 0.0065 * h_m, 216.65)
@@ -84,26 +82,26 @@ def standard_column(
     return h_m, temperature_k, pressure_pa, 0.003 * pressure_pa
 
 
-def write_netcdf(folder: Path) -> Path:
+def write_netcdf(folder):
     return model_files.netcdf(folder / "model.nc", weather_model())
 
 
-def write_grib(folder: Path) -> Path:
+def write_grib(folder):
     return model_files.grib(folder / "model.grib", weather_model())
 
 
-def weather_model() -> object:
+def weather_model():
     return model_files.dataset(standard_column, LATITUDE_DEG, LONGITUDE_DEG, TIMES)
 
 
-def write_database(folder: Path) -> Path:
+def write_database(folder):
     block = SmallBlock.make()
     places = np.column_stack([block.lat, block.lon, block.h])
     block.write_colmap_database(folder / "block.db", known=places)
     return folder / "block.db"
 
 
-def read_database(path: Path) -> object:
+def read_database(path):
     reader = blocks.block_reader("colmap")
     with blocks.damage_refused(path, "colmap"):
         cameras = [make() for make in reader.read_cameras(path).values()]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import random
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +14,7 @@ from unbend.ingest import open_log
 from unbend.simulate.write_dataflash import FORMATS
 
 
-def moments(numbers: range, from_us: int, week_ms: int) -> bytes:
+def moments(numbers, from_us, week_ms):
     """What a flight logs, each in a tenth of a second."""
     data = b""
     for k in numbers:
@@ -71,11 +70,11 @@ def moments(numbers: range, from_us: int, week_ms: int) -> bytes:
     return data
 
 
-def definitions() -> dict[str, bytes]:
+def definitions():
     return {name: definition_of(name) for name in FORMATS}
 
 
-def one_boot() -> bytes:
+def one_boot():
     """Twelve seconds with a late definition, 30 KiB."""
     early = definitions()
     hygrometer = early.pop("HYGR")
@@ -89,7 +88,7 @@ def one_boot() -> bytes:
     return data + moments(range(60, 120), 5_000_000, 200_000)
 
 
-def two_boots() -> bytes:
+def two_boots():
     """Two times six seconds, the second after a power-up."""
     head = b"".join(definitions().values())
     first = moments(range(60), 60_000_000, 200_000)
@@ -98,7 +97,7 @@ def two_boots() -> bytes:
 
 
 @pytest.fixture
-def trial(tmp_path: Path) -> Trial:
+def trial(tmp_path) -> Trial:
     return Trial([one_boot(), two_boots()], ".bin", open_log, tmp_path)
 
 
@@ -130,7 +129,7 @@ def test_the_ends_cut_byte_by_byte(trial, run_cuts):
 
 
 @pytest.fixture
-def text_trial(tmp_path: Path) -> Trial:
+def text_trial(tmp_path) -> Trial:
     binary = tmp_path / "whole.bin"
     logs = []
     for data in (one_boot(), two_boots()):
@@ -139,7 +138,7 @@ def text_trial(tmp_path: Path) -> Trial:
     return Trial(logs, ".log", open_log, tmp_path)
 
 
-def as_text(binary: Path) -> bytes:
+def as_text(binary):
     """What a ground station writes: one message a line, scaled fields in their unit."""
     from pymavlink.DFReader import DFReader_binary
 

@@ -3,8 +3,6 @@
 Never another exception or a warning, never a result that no measurement can be.
 """
 
-from __future__ import annotations
-
 import random
 import struct
 
@@ -75,7 +73,7 @@ def test_fields_at_their_limits(tmp_path, mutation_count, mutation_seed, kind):
 ONLY_THIRD = [False, False, True, False, False]
 
 
-def sound_rows(more: str = "", start_s: int = START_S) -> list[str]:
+def sound_rows(more="", start_s=START_S):
     return [f"{start_s + k}.5,47.3,{8.5 + 1e-4 * k:.4f},1500.5{more}" for k in range(5)]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,7 @@ from unbend.units import whole_numbers
 LONGEST_UNITS = 100.0  # of work, for a log of some 20 KB
 
 
-def read(path: Path, data: bytes) -> Log:
+def read(path, data) -> Log:
     path.write_bytes(data)
     return open_log(path, needs_channels=False)
 
@@ -43,7 +41,7 @@ def test_values_at_their_limits(tmp_path, mutation_count, mutation_seed, suffix)
                     continue
 
 
-def with_a_line_at(folder: Path, time_us: str) -> Log:
+def with_a_line_at(folder, time_us) -> Log:
     """Thirty lines of a barometer and one at this time among them."""
     lines = [*BARO_LINES, *baro_lines(30)]
     lines.insert(20, f"BARO, {time_us}, 0, 90000.5, 20.25")

@@ -9,8 +9,7 @@ import tracemalloc
 from collections.abc import Iterator
 from functools import cache
 from itertools import islice
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 
@@ -48,9 +47,9 @@ STAMPED = {
 """Messages with a header, and their other fields."""
 
 
-def rows_of(k: int, time_ns: int) -> dict[str, dict[str, Any]]:
+def rows_of(k, time_ns):
     """What is written at one time, by topic."""
-    rows: dict[str, dict[str, Any]] = {
+    rows = {
         "/air": {"fluid_pressure": 7e4 - k},
         "/warm": {"temperature": -12.5},
         "/fix": {
@@ -72,7 +71,7 @@ def rows_of(k: int, time_ns: int) -> dict[str, dict[str, Any]]:
     return rows
 
 
-def small_log(**options: object) -> bytes:
+def small_log(**options):
     """Two topics of air, a receiver and a camera, written by mcap-ros2-support."""
     from mcap_ros2.writer import Writer
 
@@ -92,7 +91,7 @@ def small_log(**options: object) -> bytes:
 
 
 @cache
-def small_logs() -> tuple[bytes, ...]:
+def small_logs():
     from mcap.writer import CompressionType as Kind
 
     return (
@@ -106,7 +105,7 @@ def small_logs() -> tuple[bytes, ...]:
     )
 
 
-def rewritten(data: bytes, **options: object) -> bytes:
+def rewritten(data, **options):
     """The same messages by the plain writer of the mcap library."""
     from mcap.reader import make_reader
     from mcap.writer import Writer
@@ -131,11 +130,11 @@ def rewritten(data: bytes, **options: object) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def trial(tmp_path_factory: pytest.TempPathFactory) -> Trial:
+def trial(tmp_path_factory) -> Trial:
     return Trial(small_logs(), ".mcap", open_log, tmp_path_factory.mktemp("mcap"))
 
 
-def messages_in(log: Log) -> int:
+def messages_in(log):
     return sum(log.messages.values())
 
 
@@ -161,8 +160,8 @@ def test_every_cut_of_the_first_and_last_1000_bytes(trial, run_cuts):
 
 
 @pytest.fixture
-def read(tmp_path: Path):
-    def open_bytes(data: bytes) -> Log:
+def read(tmp_path):
+    def open_bytes(data) -> Log:
         path = tmp_path / "damaged.mcap"
         path.write_bytes(data)
         return open_log(path)
@@ -178,7 +177,7 @@ class ChunkOfLog(NamedTuple):
     messages: int
 
 
-def records_of(data: bytes, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
+def records_of(data, begin, end):
     """Opcode, begin and end of each record in a part of a log."""
     while begin < end:
         opcode, length = struct.unpack_from("<BQ", data, begin)
@@ -186,7 +185,7 @@ def records_of(data: bytes, begin: int, end: int) -> Iterator[tuple[int, int, in
         begin += 9 + length
 
 
-def chunks(data: bytes) -> Iterator[ChunkOfLog]:
+def chunks(data) -> Iterator[ChunkOfLog]:
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk, Message
     from mcap.stream_reader import breakup_chunk
@@ -199,15 +198,15 @@ def chunks(data: bytes) -> Iterator[ChunkOfLog]:
             yield ChunkOfLog(begin, end, len(messages))
 
 
-def chunk_of(data: bytes, number: int) -> ChunkOfLog:
+def chunk_of(data, number) -> ChunkOfLog:
     return next(islice(chunks(data), number, None))
 
 
-def overwrite(data: bytes, begin: int, part: bytes) -> bytes:
+def overwrite(data, begin, part):
     return data[:begin] + part + data[begin + len(part) :]
 
 
-def with_length(data: bytes, begin: int, length: int) -> bytes:
+def with_length(data, begin, length):
     """A log in which the record that begins there gives this length."""
     return overwrite(data, begin + 1, struct.pack("<Q", length))
 
@@ -260,7 +259,7 @@ def test_zeros_in_a_chunk_without_a_checksum_cost_what_they_cover(read):
     assert set(codes_of_losses(log.ledger)) >= {"LOG-BAD-BYTES", "LOG-INCONSISTENT"}
 
 
-def message_records(data: bytes) -> list[tuple[int, int]]:
+def message_records(data):
     """Begin and end of the messages of the fourth chunk, in a log that is not compressed."""
     begin, end, _ = chunk_of(data, 3)
     first = begin + 9 + 32 + 8
@@ -326,7 +325,7 @@ def test_a_data_section_that_fails_its_checksum_is_a_loss(read):
 
 
 @cache
-def packed_zeros(compression: str, size: int) -> bytes:
+def packed_zeros(compression, size):
     import lz4.frame
     import zstandard
 
@@ -342,14 +341,14 @@ def packed_zeros(compression: str, size: int) -> bytes:
     return b"".join([*parts, packer.flush()])
 
 
-def schema_bomb(definition: str) -> bytes:
+def schema_bomb(definition):
     """A topic of pressure whose definition takes long to take apart, and messages."""
     definitions = schema(900, FLUID_PRESSURE, definition)
     definitions += channel(900, 900, "/bomb", "cdr")
     return definitions + message(900, 0, CDR + bytes(64)) * 50
 
 
-def nested(depth: int) -> str:
+def nested(depth):
     """Arrays of messages in arrays of messages: 4000 to the power of the depth numbers."""
     parts = ["a/A0[4000] x\nfloat64 fluid_pressure"]
     for k in range(depth):
@@ -357,7 +356,7 @@ def nested(depth: int) -> str:
     return "\n===\n".join([*parts, f"MSG: a/A{depth}\nfloat64 z"])
 
 
-def bomb(kind: str) -> bytes:
+def bomb(kind):
     if kind == "data that ends again and again":  # each a checksum of all before it
         return record(15, struct.pack("<I", 1)) * 1_000_000
     if kind == "schema of a long array":

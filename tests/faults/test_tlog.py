@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from pathlib import Path
 
 import pytest
 
@@ -17,7 +16,7 @@ YEAR_US = 31_536_000_000_000
 HYGROMETER = b"\x78\x32"  # the number of its message, which has no time since boot
 
 
-def small_log(version: int) -> bytes:
+def small_log(version):
     """A flight, and behind it the messages of a camera."""
     writer = flight(version, seconds=25)
     for number in range(25):
@@ -33,12 +32,12 @@ def small_log(version: int) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def logs() -> list[bytes]:
+def logs():
     return [small_log(2), small_log(1)]
 
 
 @pytest.fixture(scope="module")
-def trial(logs: list[bytes], tmp_path_factory: pytest.TempPathFactory) -> Trial:
+def trial(logs, tmp_path_factory) -> Trial:
     return Trial(
         logs,
         ".tlog",
@@ -47,12 +46,12 @@ def trial(logs: list[bytes], tmp_path_factory: pytest.TempPathFactory) -> Trial:
     )
 
 
-def at_a_boundary(data: bytes, whole: bytes) -> bool:
+def at_a_boundary(data, whole):
     """Whether whole frames alone are missing from a log, which nothing in the file can tell."""
     return not set(frames_of(data)) - set(frames_of(whole))
 
 
-def frames_of(data: bytes) -> list[bytes]:
+def frames_of(data):
     frames = []
     begin = 0
     while begin < len(data):
@@ -82,7 +81,7 @@ def test_every_cut_of_the_first_and_last_1000_bytes(trial, run_cuts):
     assert ends["unreported"] <= 0.04 * ends.total() + 4
 
 
-def read(path: Path, data: bytes) -> Log:
+def read(path, data) -> Log:
     path.write_bytes(data)
     return open_log(path)
 

@@ -28,7 +28,7 @@ FORMATS = {
 }
 
 
-def small_log(rows: int, *, sync: bool) -> bytes:
+def small_log(rows, *, sync):
     """A receiver, an attitude, a barometer and a camera, as the specification of ULog says."""
     writer = ULogWriter()
     for name, (_, fields) in FORMATS.items():
@@ -52,7 +52,7 @@ def small_log(rows: int, *, sync: bool) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def trial(tmp_path_factory: pytest.TempPathFactory) -> Trial:
+def trial(tmp_path_factory) -> Trial:
     logs = [small_log(150, sync=True), small_log(150, sync=False)]
     return Trial(logs, ".ulg", open_log, tmp_path_factory.mktemp("ulog"))
 

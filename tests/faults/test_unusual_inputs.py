@@ -141,7 +141,7 @@ def test_an_image_point_of_no_object_point_may_be_written_unsigned(write):
     row = first_row(lines) + 1
     measured = lines[row]
 
-    def rows() -> list[dict[str, list[object]]]:
+    def rows():
         read_block(folder, "colmap")
         return [batch.to_pydict() for batch in blocks.block_rows(folder, "colmap")]
 
@@ -185,7 +185,7 @@ def test_coordinates_may_be_millimetres(write):
 def read_trajectory(trajectory_of):
     """Reads rows of a trajectory without a loss; ``more`` columns stand behind the height."""
 
-    def read(rows: list[str], *, stated: Stated = UTC, **more: str) -> Channel:
+    def read(rows, *, stated: Stated = UTC, **more) -> Channel:
         channel, losses = trajectory_of(rows, stated, **more)
         assert losses == {}
         return channel
@@ -210,7 +210,7 @@ def test_places_at_the_limits_of_the_earth_are_places(read_trajectory, longitude
     assert len(read_trajectory(rows)) == 3
 
 
-def moving_rows(count: int, more: str) -> list[str]:
+def moving_rows(count, more):
     return [f"{UNIX_S + k},47.3,{8.5 + k / 1e4},1500.5,{more}" for k in range(count)]
 
 

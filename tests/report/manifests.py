@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from types import NoneType, UnionType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import get_args, get_origin, get_type_hints
 
 from unbend.tables.manifest.results import ResultsRecord
 from unbend.tables.manifest.run import RunRecord
@@ -11,7 +11,7 @@ from unbend.tables.manifest.sections import MissionSections
 from unbend.tables.manifest.whole import Manifest
 
 
-def manifest_of(values: Mapping[str, Any]) -> Manifest:
+def manifest_of(values) -> Manifest:
     """A manifest with these values, and nothing (None, 0, an empty text) in all other fields."""
     whole = filled_record(RunRecord, values) | filled_record(ResultsRecord, values)
     whole["config"] = filled_record(MissionSections, values.get("config", {}))
@@ -35,7 +35,7 @@ def filled(kind, value):
     return value
 
 
-def filled_record(kind, values: Mapping[str, Any]) -> dict[str, Any]:
+def filled_record(kind, values):
     whole = dict(values)
     for name, hint in get_type_hints(kind).items():
         if name in values:

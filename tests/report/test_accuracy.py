@@ -13,7 +13,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "accuracy.md"
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory) -> Path:
+def written(tmp_path_factory):
     from unbend.cli.physics import write_comparison
 
     path = tmp_path_factory.mktemp("page") / "accuracy.md"
@@ -21,7 +21,7 @@ def written(tmp_path_factory) -> Path:
     return path
 
 
-def description(picture: Path) -> str:
+def description(picture):
     """The text chunk of a PNG with the key Description."""
     png = io.BytesIO(picture.read_bytes())
     png.seek(8)
@@ -36,7 +36,7 @@ def description(picture: Path) -> str:
     return ""
 
 
-def table(text: str, before: str) -> dict[str, list[str]]:
+def table(text, before):
     """The table that follows a line, by its first column."""
     from_line = text[text.index(before) :]
     _, lines, *_ = from_line.split("\n\n", 2)

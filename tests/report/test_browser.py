@@ -8,7 +8,6 @@ import json
 import os
 import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,7 +40,7 @@ def browser():
         running.close()
 
 
-def with_model_and_flagged_rows(mission) -> Path:
+def with_model_and_flagged_rows(mission):
     """A mission on an elevation model that covers a part of it, with rows that are no use."""
     lon_deg = np.degrees(FIELD_LON_RAD) + 0.061
     lat_deg = np.degrees(FIELD_LAT_RAD) + 0.019
@@ -59,7 +58,7 @@ def with_model_and_flagged_rows(mission) -> Path:
     return mission.output
 
 
-def without_log(mission, baseline) -> Path:
+def without_log(mission, baseline):
     """A mission whose stations are a table, in the air of a standard."""
     for section in ("log", "mount", "events"):
         del mission.config[section]
@@ -80,14 +79,14 @@ def without_log(mission, baseline) -> Path:
     return mission.output
 
 
-def sample(folder: Path) -> Path:
+def sample(folder):
     """The sample mission of a log of ArduPilot."""
     sections = sample_sections("bin", folder / "sample")
     return run_mission(write_mission(folder / "sample.yaml", **sections)).output
 
 
 @pytest.fixture(scope="module")
-def runs(mission_factory, baseline, tmp_path_factory) -> dict[str, Path]:
+def runs(mission_factory, baseline, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     return {
         "sample": sample(folder),
@@ -95,6 +94,13 @@ def runs(mission_factory, baseline, tmp_path_factory) -> dict[str, Path]:
         "model": with_model_and_flagged_rows(mission_factory(folder / "model")),
         "no log": without_log(mission_factory(folder / "none", "tlog"), baseline),
     }
+
+
+def opened(browser, run, **options):
+    """The report of a run on a page of its own."""
+    page = browser.new_page(**options)
+    page.goto((run / "report.html").resolve().as_uri())
+    return page
 
 
 # Elements that stand out of the screen or of their drawing, and texts that do not fit theirs.
@@ -183,8 +189,7 @@ def test_nothing_is_wider_than_the_screen(runs, browser, name):
 
 @pytest.mark.parametrize("name", ["sample", "model"])
 def test_a_drawing_has_a_text_in_its_place_and_follows_the_colours(runs, browser, name):
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.goto((runs[name] / "report.html").resolve().as_uri())
+    page = opened(browser, runs[name], viewport={"width": 1280, "height": 900})
     labels = page.locator("figure > svg:visible").evaluate_all(
         "all => all.map(e => [e.getAttribute('role'), (e.getAttribute('aria-label') || '').length])"
     )
@@ -203,8 +208,8 @@ def test_a_drawing_has_a_text_in_its_place_and_follows_the_colours(runs, browser
 
 
 def test_on_paper_no_head_is_left_alone_and_nothing_is_cut(runs, browser, tmp_path):
-    page = browser.new_page(viewport={"width": 680, "height": 900}, color_scheme="dark")
-    page.goto((runs["model"] / "report.html").resolve().as_uri())
+    size = {"width": 680, "height": 900}
+    page = opened(browser, runs["model"], viewport=size, color_scheme="dark")
     page.emulate_media(media="print", color_scheme="dark")
     assert page.evaluate(LOOK) == []
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
@@ -234,8 +239,7 @@ def test_heads_and_page_numbers_on_paper(browser, mission_factory, unbend, tmp_p
     named = mission_factory(tmp_path / "named")
     named.config["mission"] |= {"title": 'Los "3" </style> \\2', "client": "Amt für Geo"}
     named.run_to_manifest()
-    page = browser.new_page()
-    page.goto((named.output / "report.html").resolve().as_uri())
+    page = opened(browser, named.output)
     heads = {(selector, name): content for selector, name, content in page.evaluate(HEADS)}
     assert json.loads(heads["", "top-left"]) == 'Los "3" </style> \\2'
     assert heads["", "top-right"] == '"Amt für Geo"'
@@ -252,14 +256,12 @@ def test_heads_and_page_numbers_on_paper(browser, mission_factory, unbend, tmp_p
 def test_the_page_says_what_the_manifest_says(runs, browser, name):
     """As a reader sees it; `test_page` has each cell of a page."""
     manifest = json.loads((runs[name] / "manifest.json").read_text("utf-8"))
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.goto((runs[name] / "report.html").resolve().as_uri())
+    page = opened(browser, runs[name], viewport={"width": 1280, "height": 900})
 
-    def rows(section: str) -> list[list[str]]:
-        found: list[list[str]] = page.locator(f"#{section} > table tbody tr").evaluate_all(
+    def rows(section):
+        return page.locator(f"#{section} > table tbody tr").evaluate_all(
             "all => all.map(row => [...row.cells].map(cell => cell.innerText.trim()))"
         )
-        return found
 
     assert page.title().startswith(manifest["mission"])
     statuses = manifest["observations"]["status"]

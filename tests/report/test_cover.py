@@ -21,7 +21,7 @@ from .test_page import flown as flown  # the fixture
 from .text_tables import lines_of
 
 
-def page_with(flown, **mission: str) -> Page:
+def page_with(flown, **mission) -> Page:
     manifest = whole_manifest()
     manifest["config"]["mission"] = mission
     return page_of(manifest, flown)
@@ -91,7 +91,7 @@ def test_a_text_in_a_style_sheet_ends_where_it_should(text):
     assert re.sub(r"\\([0-9a-f]+) ", character, content) == text
 
 
-def character(escape: re.Match[str]) -> str:
+def character(escape):
     return chr(int(escape[1], 16))
 
 

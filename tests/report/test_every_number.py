@@ -7,7 +7,6 @@ import io
 import re
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -43,7 +42,7 @@ from unbend.units import ARCSEC
 from .manifests import manifest_of
 from .text_tables import lines_of, rows_of
 
-MANIFEST: dict[str, Any] = yaml.safe_load("""
+MANIFEST = yaml.safe_load("""
 mission: ridge <north> & [red]south
 config:
   refraction: {direction: remove, method: spherical}
@@ -221,7 +220,7 @@ COVARIANCE = SimpleNamespace(
 )
 
 
-def readings(name: str, value: list[float], h_m: list[float]) -> SensorSamples:
+def readings(name, value, h_m) -> SensorSamples:
     return SensorSamples(np.arange(len(value)), np.array(h_m), np.array(value), name=name)
 
 
@@ -256,7 +255,7 @@ def air():
     )
 
 
-def effect_of(row: dict[str, Any]):
+def effect_of(row):
     """An effect that the manifest has as this row; without a sigma the numbers are NaN."""
     numbers = {name: np.nan if value is None else value for name, value in row.items()}
     return SimpleNamespace(
@@ -271,11 +270,11 @@ def effect_of(row: dict[str, Any]):
     )
 
 
-def changed(**of_profile) -> dict[str, Any]:
+def changed(**of_profile):
     return MANIFEST | {"profile": MANIFEST["profile"] | of_profile}
 
 
-def printed(write, *arguments: Any, **options) -> list[str]:
+def printed(write, *arguments, **options):
     """What is printed at 80 columns, line by line."""
     stream = io.StringIO()
     write(Console(file=stream, width=80, highlight=False), *arguments, **options)
@@ -284,16 +283,16 @@ def printed(write, *arguments: Any, **options) -> list[str]:
     return lines
 
 
-def in_one_line(lines: list[str]) -> str:
+def in_one_line(lines):
     return " ".join(" ".join(lines).split())
 
 
-def text_of_run(values: dict[str, Any], *, repeated: bool = False) -> str:
+def text_of_run(values, *, repeated=False):
     """What is printed of a run, as one line."""
     return in_one_line(printed(print_run, "a", "b", manifest_of(values), repeated=repeated))
 
 
-def cells(lines: list[str]) -> list[list[str]]:
+def cells(lines):
     """Lines of a table cut at two or more blanks."""
     return [re.split(r"\s{2,}", line.strip()) for line in lines]
 
@@ -338,19 +337,19 @@ def test_a_tiny_correction_is_called_tiny(largest, is_tiny):
     assert "refraction of the window" not in text
 
 
-def values(axis, key: str) -> tuple[list[float], list[float]]:
+def values(axis, key):
     """The points of the line of an axis that has this label and colour."""
     lines = {f"{line.get_label()} {line.get_color()}": line for line in axis.lines}
     return list(lines[key].get_xdata()), list(lines[key].get_ydata())
 
 
-def curve(axis, key: str) -> float:
+def curve(axis, key):
     """A curve at 2000 m."""
     x, y = values(axis, key)
     return float(np.interp(2000.0, y, x))
 
 
-def band(axis) -> tuple[float, float]:
+def band(axis):
     """Both edges of the one-sigma band at 2000 m."""
     (area,) = (part for part in axis.collections if isinstance(part, PolyCollection))
     assert area.get_label() == "one sigma"
@@ -413,7 +412,7 @@ def test_every_curve_of_the_air(air):
     """)
 
 
-def buck(t_k: float, p_hpa: float) -> float:
+def buck(t_k, p_hpa):
     """Saturation over water [hPa], Buck 1981 with his enhancement factor."""
     t = t_k - 273.15
     return (1.0007 + 3.46e-6 * p_hpa) * 6.1121 * float(np.exp(17.502 * t / (240.97 + t)))

@@ -1,7 +1,6 @@
 """The text of `unbend inspect` of weather files, in which every number differs."""
 
 import io
-from typing import Any
 
 import pytest
 import yaml
@@ -11,7 +10,7 @@ from unbend.report.inspected_weather import print_metars, print_model, print_sou
 
 from .text_tables import lines_of
 
-MODEL: dict[str, Any] = yaml.safe_load("""
+MODEL = yaml.safe_load("""
 format: netCDF
 grid: 3 x 5 nodes
 times_utc: ["2025-06-12T06:00:00", "2025-06-12T07:00:00", "2025-06-12T09:00:00"]
@@ -27,7 +26,7 @@ variables:
 """)
 
 
-def printed_lines(printer, contents) -> list[str]:
+def printed_lines(printer, contents):
     """The lines that are printed, each with one blank between its words."""
     file = io.StringIO()
     printer(Console(file=file, width=400), contents, "era5.nc")

@@ -9,7 +9,6 @@ import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
-from typing import Any
 
 import numpy as np
 import pytest
@@ -114,12 +113,12 @@ exit_code: 3
 """What only the page shows; of the sigma budget no number occurs twice."""
 
 
-def whole_manifest() -> dict[str, Any]:
+def whole_manifest():
     """The manifest of the other tests, with what only the page shows."""
     return with_sections(copy.deepcopy(MANIFEST), yaml.safe_load(MORE))
 
 
-def with_sections(values: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
+def with_sections(values, more):
     """Values with more of them within their sections."""
     for key, value in more.items():
         is_section = isinstance(values.get(key), dict)
@@ -164,7 +163,7 @@ def flown(air) -> Flown:
 class Page(HTMLParser):
     """Tables by the heading above them, list items and paragraphs of a page, and its drawings."""
 
-    def __init__(self, text: str):
+    def __init__(self, text):
         super().__init__()
         self.text = text
         self.drawings: dict[tuple[str, str], ET.Element] = {}
@@ -178,26 +177,26 @@ class Page(HTMLParser):
         self._heading = ""
         self.feed(re.sub(r"<svg.*?</svg>|<nav.*?</nav>|<style.*?</style>", "", text, flags=re.S))
 
-    def texts_of(self, tag: str) -> list[str]:
+    def texts_of(self, tag):
         """The texts of all elements of a kind, in their order."""
         return [text for element, text in self.texts if element == tag]
 
-    def caption(self, begin: str) -> str:
+    def caption(self, begin):
         """The caption of the figure that begins with these words."""
         (caption,) = (text for text in self.texts_of("figcaption") if text.startswith(begin))
         return caption
 
-    def handle_starttag(self, tag: str, attrs):
+    def handle_starttag(self, tag, attrs):
         self._cell = self._cell if tag in ("code", "br", "span") else ""
         if tag == "table":
             self.tables.setdefault(self._heading, []).append([])
         elif tag == "tr":
             self.tables[self._heading][-1].append([])
 
-    def handle_data(self, data: str):
+    def handle_data(self, data):
         self._cell += data
 
-    def handle_endtag(self, tag: str):
+    def handle_endtag(self, tag):
         cell = " ".join(self._cell.split())
         if tag in ("td", "th"):
             self.tables[self._heading][-1][-1].append(cell)
@@ -208,7 +207,7 @@ class Page(HTMLParser):
             self._cell = ""
 
 
-def page_of(values: dict[str, Any], flown: Flown) -> Page:
+def page_of(values, flown) -> Page:
     return Page(report_page(manifest_of(values), flown))
 
 
@@ -217,7 +216,7 @@ def page(flown) -> Page:
     return page_of(whole_manifest(), flown)
 
 
-def texts_in(panel: ET.Element, **attributes: str) -> list[str]:
+def texts_in(panel: ET.Element, **attributes):
     """The texts of a drawing that have these attributes; class_ is the class."""
     wanted = {name.strip("_").replace("_", "-"): value for name, value in attributes.items()}
     return [text.text or "" for text in panel.iter("text") if wanted.items() <= text.attrib.items()]
@@ -360,21 +359,21 @@ def test_every_sentence_between_the_tables(page):
     assert samples in page.text.lower()
 
 
-def numbers(text: str) -> list[float]:
+def numbers(text):
     return [float(number) for number in re.findall(r"-?\d+\.?\d*", text)]
 
 
-def points(path: str) -> np.ndarray:
+def points(path):
     """(n, 2) absolute places of M and L in a path."""
     return np.array([numbers(m)[:2] for m in re.findall(r"[ML](-?[\d.]+ -?[\d.]+)", path)])
 
 
-def arrows(path: str) -> np.ndarray:
+def arrows(path):
     """(n, 4) places and directions of the arrows of a path."""
     return np.array(re.findall(r"M(\S+) (\S+)l(\S+) (\S+)l", path), np.float64)
 
 
-def scale(panel: ET.Element, axis: str, value_of: Any = float):
+def scale(panel: ET.Element, axis, value_of=float):
     """A function from pixels to values, from the numbers at an axis: x below it, y beside it."""
     anchor = {"x": "middle", "y": "end"}[axis]
     shift = {"x": 0.0, "y": -4.0}[axis]  # a text stands on its line
@@ -394,12 +393,12 @@ def scale(panel: ET.Element, axis: str, value_of: Any = float):
     return lambda place: slope * np.asarray(place) + offset
 
 
-def path_of(panel: ET.Element, css: str) -> str:
+def path_of(panel: ET.Element, css):
     (path,) = (path for path in panel.iter("path") if path.get("class") == css)
     return path.get("d", "")
 
 
-def places(panel: ET.Element, css: str, x, y) -> np.ndarray:
+def places(panel: ET.Element, css, x, y):
     """(n, 2) values of the points of a path."""
     drawn = points(path_of(panel, css))
     return np.stack([x(drawn[:, 0]), y(drawn[:, 1])], axis=1)
@@ -434,7 +433,7 @@ def test_the_map_shows_every_place(page, flown, screen):
     assert bar_px * east_m == pytest.approx(metres, rel=0.03)
 
 
-def minutes(time: str) -> float:
+def minutes(time):
     hours, minutes_of_hour = time.split(":")
     return 60.0 * float(hours) + float(minutes_of_hour)
 

@@ -34,11 +34,11 @@ def bar(monkeypatch):
     return DelayedProgressBar(console, "survey")
 
 
-def written(bar: DelayedProgressBar) -> str:
+def written(bar: DelayedProgressBar):
     return bar._console.file.getvalue()
 
 
-def task_of(bar: DelayedProgressBar) -> tuple[str, float, float | None]:
+def task_of(bar: DelayedProgressBar):
     """What the bar shows: its text, how much is done, and of how much."""
     (task,) = bar._bar.tasks
     return task.description, task.completed, task.total

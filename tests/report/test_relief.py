@@ -32,7 +32,7 @@ class Terrain:
         return self.height(east, north)
 
 
-def plane(east_slope: float, north_slope: float) -> Terrain:
+def plane(east_slope, north_slope) -> Terrain:
     """A plane that rises by so many metres a metre to the east and to the north."""
 
     def height(east, north):

@@ -22,7 +22,7 @@ PLANE = {"shape": "plane", "in_calibration": "none"}
 LENS = {"dc_dp_px_per_hpa": 0.006}
 
 
-def manifest(direction: str = "remove", **cameras: dict) -> Manifest:
+def manifest(direction="remove", **cameras) -> Manifest:
     nothing = {"window": None, "principal_distance": None}
     sections = {name: nothing | camera for name, camera in cameras.items()}
     refraction = {"direction": direction}
@@ -121,7 +121,7 @@ def test_how_far_points_were_moved_is_said_by_median_and_95_percent():
     assert text == "0.11 px in the image (median; 95 %: 0.42 px)"
 
 
-def places_on_the_page(*longitudes_deg: float) -> list[str]:
+def places_on_the_page(*longitudes_deg):
     """Where the map of a campaign has its missions, one line for each screen."""
     rows = []
     for number, longitude_deg in enumerate(longitudes_deg):

@@ -1,7 +1,5 @@
 """What a run means and what to do next, from the manifests of runs that went well or wrong."""
 
-from typing import Any
-
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -15,19 +13,19 @@ READY = "). Ready for bundle adjustment"
 LOOK = "). Check "
 
 
-def verdict_of(values: dict[str, Any]) -> str:
+def verdict_of(values):
     return outcome(manifest_of(values))
 
 
-def remarks_of(values: dict[str, Any]) -> list[str]:
+def remarks_of(values):
     return remarks(manifest_of(values))
 
 
-def steps_of(values: dict[str, Any]) -> list[str]:
+def steps_of(values):
     return next_steps(manifest_of(values))
 
 
-def run_to_verdict(mission, code: int) -> tuple[dict[str, Any], str, str]:
+def run_to_verdict(mission, code):
     """Manifest, verdict and next steps of a run, which the terminal prints too."""
     ended = mission.run()
     assert ended.code == code, ended.text
@@ -187,7 +185,7 @@ def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
     manifest = baseline.manifest()
     manifest["cabin_sigma_share"]["median"] = 0.05
 
-    def step() -> str:
+    def step():
         (step_of_cabin,) = (text for text in steps_of(manifest) if "window.cabin" in text)
         return step_of_cabin
 

@@ -36,6 +36,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # pinholes do no
 
 CORRECTED = ["x_corrected_px", "y_corrected_px"]
 HEIGHTS = {"heights": "msl"}
+GROUND = {"height": {"column": "h_g_m"}, "reference": "msl"}
 PLACE_COLUMNS = ["lat_deg", "lon_deg", "h_msl_m"]
 US1976 = standard_atmosphere("us1976")
 
@@ -291,7 +292,6 @@ def test_heights_of_another_column_are_used_as_stated(simple, frame):
 
 
 def test_what_is_chosen_among_columns_is_said(simple, frame, opk):
-    stated = {"ground": {"height": {"column": "h_g_m"}, "reference": "msl"}}
     several = opk.rename(columns={"height": "h_msl_m"}).assign(
         h_ellipsoid_m=opk["height"] + 47.0,
         roll=0.0,
@@ -299,7 +299,8 @@ def test_what_is_chosen_among_columns_is_said(simple, frame, opk):
         yaw=0.0,
     )
 
-    result = simple(frame, stations=several, orientation={"angles": "omega_phi_kappa"}, **stated)
+    angles = {"angles": "omega_phi_kappa"}
+    result = simple(frame, stations=several, orientation=angles, ground=GROUND)
 
     texts = {entry["what"] for entry in result.attrs["ledger"] if entry["code"] == "TABLES-DEFAULT"}
     assert len(texts) == 2
@@ -309,9 +310,7 @@ def test_what_is_chosen_among_columns_is_said(simple, frame, opk):
 
 def test_a_date_goes_before_the_times_and_says_so(simple, frame):
     orientation = HEIGHTS | {"date": "2025-06-12"}
-    ground = {"height": {"column": "h_g_m"}, "reference": "msl"}
-
-    result = simple(frame, orientation=orientation, ground=ground)
+    result = simple(frame, orientation=orientation, ground=GROUND)
 
     entry = entry_of(result.attrs, "TABLES-DEFAULT")
     assert entry["kind"] == "warning"
@@ -319,8 +318,6 @@ def test_a_date_goes_before_the_times_and_says_so(simple, frame):
 
 
 def test_an_orientation_beside_the_stations_of_a_run_is_not_used(baseline, frame, profile):
-    ground = {"height": {"column": "h_g_m"}, "reference": "msl"}
-
     result = correct(
         frame,
         baseline.stations(),
@@ -328,7 +325,7 @@ def test_an_orientation_beside_the_stations_of_a_run_is_not_used(baseline, frame
         baseline.config["cameras"],
         orientation=HEIGHTS,
         mount=baseline.config["mount"],
-        ground=ground,
+        ground=GROUND,
     )
 
     entry = entry_of(result.attrs, "TABLES-DEFAULT")

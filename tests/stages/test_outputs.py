@@ -15,6 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.batch.conftest import flip_a_byte, hashes_in
+
 approx = pytest.approx
 
 # Columns and their types, in their order.
@@ -107,19 +109,6 @@ MEASURED_PX = ["x_px", "y_px"]
 CORRECTED_PX = ["x_corrected_px", "y_corrected_px"]
 
 
-def sha256(content):
-    return hashlib.sha256(content).hexdigest()
-
-
-def tree(folder):
-    """Name -> hash of every file that can be seen."""
-    hashes = {}
-    for path in folder.rglob("*"):
-        if path.is_file() and not path.name.startswith("."):
-            hashes[str(path.relative_to(folder))] = sha256(path.read_bytes())
-    return hashes
-
-
 def columns_of(schema):
     """The columns and their types, in their order."""
     return [f"{field.name} {field.type}" for field in schema]
@@ -140,7 +129,7 @@ def profile_of(mission):
 
 def test_folder_holds_what_it_should_and_nothing_else(baseline):
     assert [path.name for path in baseline.output.glob(".*")] == [".lock"]
-    assert set(tree(baseline.output)) == {
+    assert set(hashes_in(baseline.output)) == {
         PART,
         "stations.parquet",
         "profile.parquet",
@@ -266,20 +255,6 @@ def test_rows_and_columns_of_the_user_pass_through_batches(mission, baseline):
     assert_allclose(often[CORRECTED_PX], expected, atol=1e-9, rtol=0)
 
 
-def test_fewer_parts_leave_none_of_the_old_ones(mission):
-    mission.observe(mission.measured_often(20))
-    mission.config["output"]["batch_rows"] = 1000
-    mission.run_to_manifest()
-    parts = list(mission.output.glob("observations/*"))
-    assert len(parts) == 2
-
-    mission.config["output"]["batch_rows"] = 100_000
-    mission.config["ground"]["sigma_m"] = 1.5
-    mission.run_to_manifest()
-    parts = list(mission.output.glob("observations/*"))
-    assert len(parts) == 1
-
-
 # ---- bytes, and a second run
 
 
@@ -288,10 +263,10 @@ def test_manifest_knows_inputs_and_outputs_but_not_where_or_when(baseline):
     manifest = json.loads(text)
     for item in manifest["inputs"]:
         content = (baseline.folder / item["name"]).read_bytes()
-        assert item["sha256"] == sha256(content)
+        assert item["sha256"] == hashlib.sha256(content).hexdigest()
     assert {item["role"] for item in manifest["inputs"]} == {"log", "observations"}
     outputs = {item["name"]: item["sha256"] for item in manifest["outputs"]}
-    written = tree(baseline.output)
+    written = hashes_in(baseline.output)
     del written["manifest.json"]
     assert outputs == written
     assert manifest["config"]["cameras"]["nadir"]["calibration"] == "laboratory"
@@ -308,9 +283,9 @@ def test_manifest_knows_inputs_and_outputs_but_not_where_or_when(baseline):
 
 @pytest.mark.usefixtures("whole_report", "settled_inputs")
 def test_same_inputs_elsewhere_give_the_same_bytes(baseline, mission_factory, tmp_path):
-    other = mission_factory(tmp_path / "quite" / "another place")
+    other = mission_factory(tmp_path / "Données Ω" / "a longer path")
     assert other.run_to_manifest() == baseline.manifest()
-    assert tree(other.output) == tree(baseline.output)
+    assert hashes_in(other.output) == hashes_in(baseline.output)
 
 
 def test_pages_carry_checksums(baseline, tmp_path):
@@ -341,7 +316,7 @@ def test_a_second_run_does_nothing_and_a_forced_one_mends_what_verify_finds(miss
     first = mission.run()
     assert first.code == 3, first.text
     assert "nothing to do" not in first.out
-    hashes = tree(mission.output)
+    hashes = hashes_in(mission.output)
     changes = changes_of_entries(mission.output)
 
     second = mission.run()
@@ -354,7 +329,7 @@ def test_a_second_run_does_nothing_and_a_forced_one_mends_what_verify_finds(miss
     forced = mission.run("--force")
     assert forced.code == 3
     assert "nothing to do" not in forced.out
-    assert tree(mission.output) == hashes
+    assert hashes_in(mission.output) == hashes
     assert changes_of_entries(mission.output) != changes
     assert unbend("verify", mission.output).code == 0
 
@@ -366,7 +341,7 @@ def does_nothing(mission):
 
 def test_a_run_is_repeated_when_and_only_when_something_changed(mission):
     mission.run_to_manifest()
-    before = tree(mission.output)
+    before = hashes_in(mission.output)
     mission.file.touch()
     mission.log.touch()
     assert does_nothing(mission)
@@ -375,7 +350,7 @@ def test_a_run_is_repeated_when_and_only_when_something_changed(mission):
 
     mission.config["atmosphere"]["co2_ppm"] = 451.0
     assert not does_nothing(mission)
-    assert tree(mission.output) != before
+    assert hashes_in(mission.output) != before
     flip(mission.log, -3)
     assert not does_nothing(mission)
     (mission.output / "stations.parquet").unlink()
@@ -385,10 +360,6 @@ def test_a_run_is_repeated_when_and_only_when_something_changed(mission):
 
 
 # ---- damage
-
-
-def flip_in_the_middle(path):
-    flip(path, path.stat().st_size // 2)
 
 
 def cut(path):
@@ -410,10 +381,10 @@ def without_entries(path):
 @pytest.mark.parametrize(
     ("name", "harm", "code"),
     [
-        (PART, flip_in_the_middle, "VERIFY-DAMAGED"),
-        ("stations.parquet", flip_in_the_middle, "VERIFY-DAMAGED"),
+        (PART, flip_a_byte, "VERIFY-DAMAGED"),
+        ("stations.parquet", flip_a_byte, "VERIFY-DAMAGED"),
         ("profile.parquet", cut, "VERIFY-DAMAGED"),
-        ("report.html", flip_in_the_middle, "VERIFY-DAMAGED"),
+        ("report.html", flip_a_byte, "VERIFY-DAMAGED"),
         (PART, Path.unlink, "VERIFY-DAMAGED"),
         ("observations/part-00001.parquet", add_a_part, "VERIFY-DAMAGED"),
         ("manifest.json", Path.unlink, "VERIFY-NO-MANIFEST"),
@@ -461,23 +432,28 @@ def rows_of_camera(baseline, camera):
     return rows[rows["camera"] == camera]
 
 
-def test_the_manifest_has_the_size_of_all_corrections(baseline):
-    rows = baseline.results().to_pandas()
-    shift = rows[CORRECTED_PX].to_numpy() - rows[MEASURED_PX]
+def assert_sizes(shift_px, shift):
+    """The quantiles of a manifest are those of the corrections; their sizes [px]."""
     size_px = np.linalg.norm(shift, axis=1)
-    shift_px = baseline.manifest()["correction"]["shift_px"]
     assert shift_px["median"] == approx(np.median(size_px), rel=0.1)
     assert shift_px["p95"] == approx(np.percentile(size_px, 95.0), rel=0.1)
+    return size_px
+
+
+def shift_of(rows):
+    return rows[CORRECTED_PX].to_numpy() - rows[MEASURED_PX]
+
+
+def test_the_manifest_has_the_size_of_all_corrections(baseline):
+    shift = shift_of(baseline.results().to_pandas())
+    assert_sizes(baseline.manifest()["correction"]["shift_px"], shift)
 
 
 @pytest.mark.parametrize("camera", ["nadir", "oblique"])
 def test_the_manifest_has_the_sizes_of_the_corrections(baseline, rows_of_camera, camera):
-    shift = rows_of_camera[CORRECTED_PX].to_numpy() - rows_of_camera[MEASURED_PX]
-    size_px = np.linalg.norm(shift, axis=1)
+    shift = shift_of(rows_of_camera)
     correction = baseline.manifest()["correction"]["cameras"][camera]
-    shift_px = correction["shift_px"]
-    assert shift_px["median"] == approx(np.median(size_px), rel=0.1)
-    assert shift_px["p95"] == approx(np.percentile(size_px, 95.0), rel=0.1)
+    size_px = assert_sizes(correction["shift_px"], shift)
     bins = correction["histogram_px"]
     counts = bins["counts"]
     in_steps = size_px / bins["step"]

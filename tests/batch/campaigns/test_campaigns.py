@@ -9,7 +9,6 @@ import time
 from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -35,59 +34,59 @@ class Season:
     folder: Path
 
     @property
-    def file(self) -> Path:
+    def file(self):
         return self.folder / "season.yaml"
 
-    def flight(self, number: int) -> Path:
+    def flight(self, number):
         return self.folder / "flights" / f"f{number}"
 
     @property
-    def table(self) -> Path:
+    def table(self):
         return self.folder / "results" / "campaign.parquet"
 
     @property
-    def page(self) -> Path:
+    def page(self):
         return self.folder / "results" / "campaign.html"
 
-    def manifest(self, number: int) -> Path:
+    def manifest(self, number):
         return self.folder / "results" / f"flight-{number}" / "manifest.json"
 
-    def values(self, number: int) -> dict[str, Any]:
+    def values(self, number):
         """The manifest of a mission as JSON."""
         return json.loads(self.manifest(number).read_text())
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self):
         """The rows of the table."""
         return pq.read_table(self.table).to_pylist()
 
-    def states(self) -> list[tuple[str, str | None]]:
+    def states(self):
         """State and code of each mission in the table."""
         states = []
         for row in self.rows():
             states.append((row["state"], row["code"]))
         return states
 
-    def older(self) -> None:
+    def older(self):
         """Files that were written some seconds ago; newer ones are not trusted."""
         files = self.folder.rglob("*")
         latest = max(file.lstat().st_ctime for file in files)
         settled = latest + input_files.SETTLED_NS * 1e-9 + 0.05
         time.sleep(max(0.0, settled - time.time()))
 
-    def unchanged(self) -> list[int]:
+    def unchanged(self):
         """Numbers of the missions that are known to be unchanged without checking their files."""
         chosen = select_missions([self.file])
         missions = enumerate(chosen.missions)
         return [number for number, ref in missions if chosen.is_unchanged(ref)]
 
-    def change_mission(self, number: int, **sections: dict[str, Any]) -> None:
+    def change_mission(self, number, **sections):
         """Give a mission file other sections."""
         file = self.flight(number) / "mission.yaml"
         whole = yaml.safe_load(file.read_text()) | sections
         file.write_text(yaml.safe_dump(whole))
 
 
-def make_season(mission, folder: Path) -> Season:
+def make_season(mission, folder) -> Season:
     """Of two missions."""
     season = Season(folder)
     shared = dict(mission.config)
@@ -174,7 +173,7 @@ def test_one_changed_sounding_runs_one_mission(done, obeyed):
 
 
 def test_of_an_unchanged_campaign_no_file_is_checked_and_no_input_opened(done, monkeypatch):
-    def fail(thing: object) -> None:
+    def fail(thing):
         pytest.fail(f"{thing} was opened")
 
     monkeypatch.setattr(MissionRef, "load", fail)
@@ -182,7 +181,7 @@ def test_of_an_unchanged_campaign_no_file_is_checked_and_no_input_opened(done, m
     assert done.unchanged() == [0, 1]
 
 
-def append(file: Path) -> None:
+def append(file):
     file.write_bytes(file.read_bytes() + b"\n")
 
 
@@ -242,7 +241,7 @@ def test_a_new_file_beside_a_raster_is_a_change(tmp_path):
 
 
 def test_another_program_knows_nothing(done, monkeypatch):
-    def other_versions(roles: object, standard: object) -> dict[str, str]:
+    def other_versions(roles, standard):
         return {"unbend": "other"}
 
     monkeypatch.setattr(unchanged, "versions_of", other_versions)
@@ -321,16 +320,12 @@ def test_one_mission_of_a_campaign_and_what_is_refused(season, unbend, obeyed):
 class Links(HTMLParser):
     """The links of a page, and whether it holds what it must not."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.links: list[str] = []
         self.tags: set[str] = set()
 
-    def handle_starttag(
-        self,
-        tag: str,
-        attrs: list[tuple[str, str | None]],
-    ) -> None:
+    def handle_starttag(self, tag, attrs):
         self.tags.add(tag)
         for name, value in attrs:
             if name in ("href", "src"):

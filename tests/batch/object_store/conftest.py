@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.error import HTTPError, URLError
@@ -17,6 +17,7 @@ from urllib.request import urlopen
 
 import pytest
 
+from unbend.batch import remote
 from unbend.batch.object_store import Place, open_store
 
 pytest.importorskip("obstore")
@@ -31,14 +32,14 @@ S3 = {
 READER = {"AWS_ACCESS_KEY_ID": "reader", "AWS_SECRET_ACCESS_KEY": "not-to-be-printed"}
 
 
-def free_port() -> int:
+def free_port():
     with socket.socket() as held:
         held.bind(("127.0.0.1", 0))
         return int(held.getsockname()[1])
 
 
 @contextmanager
-def serving(command: list[str], port: int, folder: Path) -> Iterator[None]:
+def serving(command, port, folder):
     """A server, from its first answer to the end of the block; skips where it cannot be started."""
     log = folder / "log.txt"
     with log.open("wb") as file:
@@ -65,14 +66,14 @@ def serving(command: list[str], port: int, folder: Path) -> Iterator[None]:
         process.wait()
 
 
-def in_environment(name: str) -> str:
+def in_environment(name):
     """A program of the environment of the tests, or of the PATH; skips where it is not there."""
     beside = shutil.which(name, path=str(Path(sys.executable).parent))
     return beside or shutil.which(name) or pytest.skip(f"{name} is not installed")
 
 
 @pytest.fixture(scope="session")
-def seaweed(tmp_path_factory) -> Iterator[dict[str, str]]:
+def seaweed(tmp_path_factory):
     """SeaweedFS, with a user who may write and one who may read."""
     folder = tmp_path_factory.mktemp("seaweed")
     rights = {"writer": ["Admin", "Read", "Write", "List"], "reader": ["Read", "List"]}
@@ -108,7 +109,7 @@ def seaweed(tmp_path_factory) -> Iterator[dict[str, str]]:
 
 
 @pytest.fixture(scope="session")
-def moto(tmp_path_factory) -> Iterator[dict[str, str]]:
+def moto(tmp_path_factory):
     """Moto's server of S3."""
     port = free_port()
     command = [in_environment("moto_server"), "-p", str(port)]
@@ -117,7 +118,7 @@ def moto(tmp_path_factory) -> Iterator[dict[str, str]]:
 
 
 @pytest.fixture(scope="session")
-def azurite(tmp_path_factory) -> Iterator[dict[str, str]]:
+def azurite(tmp_path_factory):
     """Azurite, Azure's emulator: from npm, in the folder UNBEND_AZURITE or on the PATH."""
     folder = tmp_path_factory.mktemp("azurite")
     installed = Path(os.environ.get("UNBEND_AZURITE", "none")) / "node_modules/.bin/azurite-blob"
@@ -130,10 +131,10 @@ def azurite(tmp_path_factory) -> Iterator[dict[str, str]]:
 
 
 @pytest.fixture
-def use(monkeypatch, tmp_path) -> Iterator[Callable[..., None]]:
+def use(monkeypatch, tmp_path):
     """Makes the environment that of a store; the cache is the test's own."""
 
-    def set_environment(variables: dict[str, str]) -> None:
+    def set_environment(variables):
         for name in [name for name in os.environ if name.startswith(PREFIXES)]:
             monkeypatch.delenv(name)
         for name, value in variables.items():
@@ -145,10 +146,10 @@ def use(monkeypatch, tmp_path) -> Iterator[Callable[..., None]]:
     open_store.cache_clear()
 
 
-MADE: set[str] = set()
+MADE = set()
 
 
-def make_bucket(environment: dict[str, str], name: str) -> None:
+def make_bucket(environment, name):
     """Make a bucket or container by the protocol itself: obstore makes none."""
     endpoint = environment.get("AWS_ENDPOINT_URL")
     if endpoint is not None:
@@ -186,7 +187,18 @@ def make_bucket(environment: dict[str, str], name: str) -> None:
     urlopen(Request(url, method="PUT", headers=headers), timeout=30)
 
 
-def environment_of(scheme: str, url: str) -> dict[str, str]:
+def shift_clock(patch, difference):
+    """Let the clock of this machine be ahead of that of the stores."""
+
+    class Shifted(remote.datetime):
+        @classmethod
+        def now(cls, zone=None):
+            return super().now(zone) + difference
+
+    patch.setattr(remote, "datetime", Shifted)
+
+
+def environment_of(scheme, url):
     """The environment that leads to a store at a URL, which speaks S3 or Azure's protocol."""
     if scheme == "s3":
         return S3 | {"AWS_ENDPOINT_URL": url}
@@ -205,7 +217,7 @@ def s3_place(request, use) -> Place:
     return place_in(request, "seaweed", use)
 
 
-def place_in(request: pytest.FixtureRequest, store: str, use: Callable[..., None]) -> Place:
+def place_in(request, store, use: Callable[..., None]) -> Place:
     environment = request.getfixturevalue(store)
     use(environment)
     if store not in MADE:

@@ -41,7 +41,7 @@ def stored(mission, s3_place):
 def reasons(stored, obeyed):
     """Why the mission would run."""
 
-    def of_status() -> list[str]:
+    def of_status():
         (mission,) = json.loads(obeyed("status", stored.file, "--json"))
         return mission["reasons"]
 
@@ -52,7 +52,7 @@ def reasons(stored, obeyed):
 def run(stored):
     """Runs the mission, which must end well; what is said."""
 
-    def run_stored(*options: str) -> Ended:
+    def run_stored(*options) -> Ended:
         ended = stored.run(*options)
         assert ended.code == 0, ended.text
         return ended
@@ -60,7 +60,7 @@ def run(stored):
     return run_stored
 
 
-def content_of(place: Place) -> bytes:
+def content_of(place):
     content, _ = place.read()
     return content
 

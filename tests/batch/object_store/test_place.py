@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -19,7 +18,7 @@ from unbend.batch.plan import located
 from unbend.batch.remote import RemoteInput, fetch, look_up, read_manifest
 from unbend.errors import UnbendError
 
-from .conftest import READER, S3, environment_of, free_port
+from .conftest import READER, S3, environment_of, free_port, shift_clock
 
 SECRET = "hunter2"
 
@@ -129,7 +128,7 @@ def test_an_object_that_goes_while_it_is_copied(s3_place, monkeypatch):
     remote_input = look_up(s3_place)
     blocks = Place.blocks
 
-    def blocks_of_nothing(place: Place):
+    def blocks_of_nothing(place):
         place.remove([""])
         return blocks(place)
 
@@ -186,12 +185,7 @@ def test_a_store_that_is_not_there(s3_place, use, seaweed):
 
 
 def test_a_clock_that_is_off(s3_place, monkeypatch):
-    class Later(remote.datetime):
-        @classmethod
-        def now(cls, zone=None):
-            return super().now(zone) - timedelta(minutes=20)
-
-    monkeypatch.setattr(remote, "datetime", Later)
+    shift_clock(monkeypatch, timedelta(minutes=-20))
     assert refusal(remote.rehearse, s3_place, writes=True).code == "CLOUD-CLOCK"
     assert s3_place.objects() == {}
 
@@ -204,11 +198,11 @@ def test_the_extra_is_not_installed(monkeypatch, mission):
 
 
 @contextmanager
-def answering(status: int, body: bytes, headers: dict[str, str]) -> Iterator[str]:
+def answering(status, body, headers):
     """A store that has one answer to all that it is asked."""
 
     class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
+        def do_GET(self):
             self.rfile.read(int(self.headers.get("Content-Length") or 0))
             self.send_response(status)
             for name, value in ({"Content-Length": str(len(body))} | headers).items():
@@ -220,7 +214,7 @@ def answering(status: int, body: bytes, headers: dict[str, str]) -> Iterator[str
 
         do_PUT = do_HEAD = do_DELETE = do_POST = do_GET  # noqa: N815
 
-        def log_message(self, *_: object) -> None:
+        def log_message(self, *_):
             """Nothing."""
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)

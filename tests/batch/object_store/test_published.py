@@ -22,14 +22,16 @@ from unbend.batch.results import verify_run
 from unbend.errors import OutputInUseError, StorageError
 from unbend.tables.manifest.whole import Manifest
 
+from .conftest import shift_clock
+
 RACES = int(os.environ.get("UNBEND_RACES", "4"))
 
 
-def sha256(content: bytes) -> str:
+def sha256(content):
     return hashlib.sha256(content).hexdigest()
 
 
-def made(folder, run: int) -> Manifest:
+def made(folder, run) -> Manifest:
     """Results of a run in a folder: files with its number in them, and their manifest."""
     outputs = []
     for name in ("observations/part-00000.parquet", "stations.parquet"):
@@ -48,7 +50,7 @@ def made(folder, run: int) -> Manifest:
     )
 
 
-def publish(place, folder, run: int, together=lambda: None) -> Manifest | None:
+def publish(place, folder, run, together=lambda: None) -> Manifest | None:
     """Publish a run from a folder; None where it is refused because another was published."""
     manifest = made(folder, run)
     before = Publication(place, manifest.run.fingerprint)
@@ -58,7 +60,7 @@ def publish(place, folder, run: int, together=lambda: None) -> Manifest | None:
     return None
 
 
-def expected_at(manifest: Manifest) -> set[str]:
+def expected_at(manifest):
     """The objects of a published run, and no others."""
     run = manifest.run
     files = {f"attempts/{run.attempt}/{item.name}" for item in run.outputs}
@@ -75,7 +77,7 @@ def test_races_of_two_writers(place, tmp_path):
         barrier = threading.Barrier(2)
         over = threading.Event()
 
-        def look(results=results, over=over) -> int:
+        def look(results=results, over=over):
             seen = 0
             while not over.is_set() or not seen:
                 if read_manifest(results) is not None:
@@ -83,7 +85,7 @@ def test_races_of_two_writers(place, tmp_path):
                     seen += 1
             return seen
 
-        def write(number: int, results=results, same=same, barrier=barrier) -> Manifest | None:
+        def write(number, results=results, same=same, barrier=barrier) -> Manifest | None:
             return publish(results, tmp_path / str(number), 1 if same else number, barrier.wait)
 
         with ThreadPoolExecutor(3) as pool:
@@ -164,13 +166,8 @@ def test_orphans_of_the_last_hour_stay(s3_place, tmp_path, monkeypatch, unbend, 
     assert text == "1 upload of the last hour kept: --recent also removes them\n"
     assert set(s3_place.objects()) == everything
 
-    class Later(remote.datetime):
-        @classmethod
-        def now(cls, zone=None):
-            return super().now(zone) + timedelta(hours=2)
-
     with monkeypatch.context() as patch:
-        patch.setattr(remote, "datetime", Later)
+        shift_clock(patch, timedelta(hours=2))
         ended = unbend("verify", s3_place, "--remove-leftovers", "--json")
     assert json.loads(ended.out) == {"removed": [f"{s3_place}/one/attempts/{'0' * 32}/"], "kept": 0}
     assert set(s3_place.objects()) == everything - {orphan}
@@ -230,27 +227,27 @@ def test_what_lies_in_an_attempt_and_belongs_to_no_run(s3_place, tmp_path):
 class DatedPlace:
     """A store in memory: objects with the minutes since they were written."""
 
-    def __init__(self, minutes: dict[str, float]) -> None:
+    def __init__(self, minutes):
         self.minutes = minutes
 
-    def __str__(self) -> str:
+    def __str__(self):
         return "s3://bucket"
 
-    def __truediv__(self, name: str) -> DatedPlace:
+    def __truediv__(self, name) -> DatedPlace:
         return self
 
-    def read(self) -> tuple[None, None]:
+    def read(self):
         """No manifest is published here."""
         return None, None
 
-    def objects(self) -> dict[str, dict[str, datetime]]:
+    def objects(self):
         now = datetime.now(UTC)
         return {
             name: {"last_modified": now - timedelta(minutes=minutes)}
             for name, minutes in self.minutes.items()
         }
 
-    def remove(self, names) -> None:
+    def remove(self, names):
         for name in names:
             del self.minutes[name]
 

@@ -8,7 +8,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from functools import partial
 
@@ -24,7 +24,7 @@ from .conftest import S3, environment_of
 
 
 @contextmanager
-def accepting(answer: bytes = b"") -> Iterator[str]:
+def accepting(answer=b""):
     """A store that accepts each connection and says no more than a part of an answer, or nothing.
 
     After it the connections are closed.
@@ -34,7 +34,7 @@ def accepting(answer: bytes = b"") -> Iterator[str]:
         listening.bind(("127.0.0.1", 0))
         listening.listen(50)
 
-        def serve() -> None:
+        def serve():
             with suppress(OSError):  # closed
                 while True:
                     connection, _ = listening.accept()
@@ -93,12 +93,12 @@ def test_a_store_that_accepts_and_says_nothing(use, impatient, scheme, tmp_path,
         assert asked.count("get") == 1, "who hears nothing is not asked again in another way"
 
 
-def count_requests(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def count_requests(monkeypatch):
     """The functions of obstore that are called from now on."""
-    asked: list[str] = []
+    asked = []
     original = object_store.request
 
-    def request(verb: str, place: Place, function: str, *arguments: object, **options: object):
+    def request(verb, place, function, *arguments, **options):
         asked.append(function)
         return original(verb, place, function, *arguments, **options)
 
