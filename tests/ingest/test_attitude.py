@@ -17,7 +17,7 @@ ENU_OF_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_OF_FRD = np.diag([1.0, -1.0, -1.0])
 
 
-def matrix(q: np.ndarray) -> np.ndarray:
+def matrix(q):
     return Rotation.from_quat(q, scalar_first=True).as_matrix()
 
 
