@@ -1,7 +1,5 @@
 """Trajectories of other programs: what was written is read, and what is wrong is told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -396,11 +394,11 @@ OF_PLACES = replace(GPST, columns=PLACES)
 OF_ANGLES = replace(GPST, columns=PLACES | ANGLES)
 
 
-def gps_times(flight) -> list[str]:
+def gps_times(flight):
     return [flight.gpst(k) for k in range(flight.t.size)]
 
 
-def write_csv(flight, header: str, *columns, times=None):
+def write_csv(flight, header, *columns, times=None):
     """A CSV of times, without any those of the flight in GPS time, and numbers."""
     rows = [header]
     for time, *numbers in zip(times or gps_times(flight), *columns, strict=True):
@@ -409,19 +407,19 @@ def write_csv(flight, header: str, *columns, times=None):
     return flight.put("t.csv", "\n".join(rows) + "\n")
 
 
-def utc_dates(flight) -> list[str]:
+def utc_dates(flight):
     return [f"{np.datetime64(int(time), 'ns')}Z" for time in flight.utc_ns]
 
 
-def seconds_of_week(flight) -> list[str]:
+def seconds_of_week(flight):
     return [f"{TOW + t:.3f}" for t in flight.t]
 
 
-def seconds_since_1980(flight) -> list[str]:
+def seconds_since_1980(flight):
     return [f"{WEEK * 604_800 + TOW + t:.3f}" for t in flight.t]
 
 
-def seconds_since_1970(flight) -> list[str]:
+def seconds_since_1970(flight):
     return [f"{time / 1e9:.3f}" for time in flight.utc_ns]
 
 
