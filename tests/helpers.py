@@ -11,6 +11,18 @@ from unbend.errors import UnbendError
 from unbend.flight.channels import Channel, Source
 
 NS_PER_S = 10**9
+NED_FROM_ENU = np.array(
+    [
+        [0.0, 1.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, -1.0],
+    ]
+)
+
+
+def ns(text):
+    """A time in ISO 8601, UTC, as Unix nanoseconds."""
+    return int(np.datetime64(text, "ns").astype(np.int64))
 
 
 def channel(

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.helpers import NED_FROM_ENU
 from unbend.batch.executors import Outcome
 
 from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
@@ -26,13 +27,6 @@ BODY_FROM_CAMERA = np.array(
         [0.0, -1.0, 0.0],
         [1.0, 0.0, 0.0],
         [0.0, 0.0, 1.0],
-    ]
-)
-NED_FROM_ENU = np.array(
-    [
-        [0.0, 1.0, 0.0],
-        [1.0, 0.0, 0.0],
-        [0.0, 0.0, -1.0],
     ]
 )
 

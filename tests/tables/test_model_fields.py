@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid
 from scipy.io import netcdf_file
 
-from tests.helpers import with_code
+from tests.helpers import ns, with_code
 from tests.model_files import PRESSURE_LEVELS, dataset, grib, netcdf, on_model_levels
 from tests.tables.checks import assert_within, refused_with
 from tests.tables.grib_messages import write_grib
@@ -29,10 +29,6 @@ H = np.arange(-200.0, 20_000.0, 20.0)
 TRUE_AIR = true_air(PLACE[0])
 PRESSURE = TRUE_AIR.pressure_pa(H)
 COLUMN = ("h_m", "temperature_k", "pressure_pa", "vapour_pressure_pa")
-
-
-def ns(when):
-    return int(np.datetime64(when, "ns").astype(np.int64))
 
 
 NOON = ns("2026-05-14T10:30")

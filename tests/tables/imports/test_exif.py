@@ -9,7 +9,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
 
-from tests.helpers import refused, with_code
+from tests.helpers import ns, refused, with_code
 from unbend.messages import Ledger
 from unbend.tables.imports.exif import (
     NO_TIME,
@@ -32,10 +32,6 @@ SUBSEC = 0x9291
 GPS_DATE = 0x001D
 GPS_TIME = 0x0007
 SMALL_IMAGE = Image.new("RGB", (8, 8))
-
-
-def ns(text):
-    return int(np.datetime64(text, "ns").astype(np.int64))
 
 
 def write_jpeg(

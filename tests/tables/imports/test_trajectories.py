@@ -446,6 +446,13 @@ def test_a_csv_has_its_times_in_any_of_five_forms(flight, times, settings, mark)
     assert metres_off(channel, flight) < 2e-4
 
 
+def assert_alone_unknown(row, flight, channel, ledger):
+    """The other rows have their times."""
+    known_ns = np.delete(flight.utc_ns, row)
+    assert np.abs(channel.time_ns - known_ns).max() < 1000
+    assert [entry.count for entry in with_code(ledger, "IMPORT-ROWS")] == [1]
+
+
 @pytest.mark.parametrize(
     ("times", "settings"),
     [
@@ -464,9 +471,7 @@ def test_a_time_of_minus_one_is_unknown_and_moves_no_other(flight, times, settin
 
     channel, ledger = read(read_trajectory_csv, path, replace(settings, columns=PLACES))
 
-    known_ns = np.delete(flight.utc_ns, unknown_row)
-    assert np.abs(channel.time_ns - known_ns).max() < 1000
-    assert [entry.count for entry in with_code(ledger, "IMPORT-ROWS")] == [1]
+    assert_alone_unknown(unknown_row, flight, channel, ledger)
 
 
 @pytest.mark.parametrize(("week", "seconds"), [("-1", "302400"), (f"{WEEK}", "-1"), ("-1", "-1")])
@@ -483,9 +488,7 @@ def test_a_week_or_seconds_of_minus_one_are_unknown(flight, week, seconds):
     settings = replace(GPST, columns=PLACES | {"week": "w"})
     channel, ledger = read(read_trajectory_csv, path, settings)
 
-    known_ns = np.delete(flight.utc_ns, unknown_row)
-    assert np.abs(channel.time_ns - known_ns).max() < 1000
-    assert [entry.count for entry in with_code(ledger, "IMPORT-ROWS")] == [1]
+    assert_alone_unknown(unknown_row, flight, channel, ledger)
 
 
 @pytest.mark.parametrize(
