@@ -24,11 +24,7 @@ def axes(lat, lon):
     return np.array([enu_axes(*place) for place in places_deg])
 
 
-def centres(
-    lat,
-    lon,
-    h,
-):
+def centres(lat, lon, h):
     """(n, 3) earth-centred."""
     lat_deg = np.degrees(lat)
     lon_deg = np.degrees(lon)
@@ -146,11 +142,7 @@ def places(east_m, north_m):
     return lat, lon
 
 
-def attitudes(
-    rng,
-    line,
-    tilt,
-):
+def attitudes(rng, line, tilt):
     """(n, 3, 3) camera from east, north, up: lines to and fro, tilted about y, with a wobble."""
     heading = line % 2 * np.pi + rng.normal(0.0, 0.05, line.size)
     o = np.zeros(line.size)

@@ -174,22 +174,14 @@ def fly(
     return block
 
 
-def ecef_of(
-    x,
-    y,
-    h_msl_m,
-):
+def ecef_of(x, y, h_msl_m):
     """Earth-centred places x east and y north [m] of the middle of the block."""
     lat = LATITUDE + y / METRES_NORTH
     lon = LONGITUDE + x / METRES_EAST
     return to_ecef(lat, lon, np.asarray(h_msl_m + UNDULATION_M))
 
 
-def pairs_in_view(
-    block,
-    each,
-    rng,
-):
+def pairs_in_view(block, each, rng):
     """Numbers of images and of points well inside them, at most so many of each image."""
     axes = axes_at(block.centre)
     pairs = []
@@ -209,11 +201,7 @@ def pairs_in_view(
     return station, point
 
 
-def measured(
-    block,
-    station,
-    point,
-):
+def measured(block, station, point):
     """What these images see of these points, along bent rays."""
     centre = block.centre[station]
     rays = shoot(

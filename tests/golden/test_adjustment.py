@@ -79,11 +79,7 @@ observations[x] = 2 * observations.x_px - observations[x]
 observations[y] = 2 * observations.y_px - observations[y]"""
 
 
-def write_source(
-    path,
-    rows,
-    cameras: dict[str, list[float]],
-):
+def write_source(path, rows, cameras: dict[str, list[float]]):
     """A database as COLMAP leaves it: matches, and geometries whose matrices are a nonsense."""
     with closing(pycolmap.Database.open(path)) as database:
         camera_ids = {}
@@ -171,11 +167,7 @@ def test_colmap_maps_the_database_that_comes_out(tmp_path, truth):
     assert rms_of_mapped(uncorrected, points, up_m) >= 0.13
 
 
-def rms_of_mapped(
-    database,
-    points: dict[str, list[str]],
-    up_m: dict[str, float],
-):
+def rms_of_mapped(database, points: dict[str, list[str]], up_m: dict[str, float]):
     """RMS error in height [m] of COLMAP's map; a point is known by its first keypoint."""
     options = pycolmap.IncrementalPipelineOptions(
         use_prior_position=True,

@@ -72,11 +72,7 @@ SURVEY = Flight("sitl_survey", {"cam": 0}, 590.0)
 BELOW_SEA = Flight("sitl_belowsea_2cam", {"left": 0, "right": 1}, -428.0)
 
 
-def fly(
-    folder,
-    flight,
-    extension,
-):
+def fly(folder, flight, extension):
     """Correct points scattered over every image of a simulator log."""
     truth = pd.read_csv(SHARED / "logs" / f"{flight.name}_truth.csv")
     truth = truth[truth["row"] == "CAM"]
@@ -207,11 +203,7 @@ def standard_icao(h_m):
     return temperature, pressure
 
 
-def assert_profile_is_standard(
-    flown,
-    rms_k,
-    most_hpa,
-):
+def assert_profile_is_standard(flown, rms_k, most_hpa):
     measured = flown.profile[flown.profile["source"] == "measured"]
     assert len(measured) > 10
     temperature, pressure = standard_icao(measured["h_m"].to_numpy())

@@ -110,11 +110,7 @@ def colmap_cameras(folder, work):
     return dict(pycolmap.Reconstruction(str(work)).cameras)
 
 
-def adjusted(
-    exported,
-    pixels,
-    cameras,
-):
+def adjusted(exported, pixels, cameras):
     """(p, 3) errors of points that pycolmap adjusts with poses and cameras held."""
     block = exported.block
     adjustment = Adjustment()
@@ -185,11 +181,7 @@ def test_pycolmap_finds_the_points_with_the_exported_cameras(
 NUMBER = r"([-+0-9.e]+)"
 
 
-def change_in(
-    report,
-    name,
-    unit,
-):
+def change_in(report, name, unit):
     """What a user reads in the report: numbers of a calibration, in px or mm."""
     part = report[report.index(f"{name}: ") :]
     text = part[part.index(f"    in {unit}: c ") :]

@@ -197,11 +197,7 @@ def rotations_of(quaternions):
     return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
 
 
-def poses_by_image(
-    images,
-    turns,
-    centres,
-):
+def poses_by_image(images, turns, centres):
     poses = zip(turns, centres, strict=True)
     return dict(zip(images, poses, strict=True))
 
@@ -280,11 +276,7 @@ def assert_is_dbats(project):
         assert np.abs(checks[point] - position).max() < WITHIN_M
 
 
-def assert_same_image_points(
-    rows,
-    project,
-    within_px,
-):
+def assert_same_image_points(rows, project, within_px):
     pairs = rows.merge(
         project.rows,
         on=["image", "point"],
@@ -388,11 +380,7 @@ def exported(project, name, folder):
     return out
 
 
-def in_dbats_frame(
-    poses,
-    turns,
-    places,
-):
+def in_dbats_frame(poses, turns, places):
     """Orientations in another frame, turned back by the places of the cameras: the same poses."""
     centres = np.stack([centre for _, centre in poses.values()])
     middle = centres.mean(axis=0)

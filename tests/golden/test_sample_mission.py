@@ -66,11 +66,7 @@ def true_profile(truth):
     return profile_of(truth["profile"], latitude_deg * DEGREE)
 
 
-def error_with(
-    profile,
-    stations,
-    truth: dict[str, pd.DataFrame],
-):
+def error_with(profile, stations, truth: dict[str, pd.DataFrame]):
     """Distances of corrected from true points [px]."""
     mission = load_mission(REPOSITORY / "configs" / "sample_bin.yaml")
     observations = truth["observations"]
