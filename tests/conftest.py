@@ -11,7 +11,6 @@ import random
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,8 +25,7 @@ import yaml
 from hypothesis import settings
 
 from tests.draws import SEED
-from unbend.simulate import Simulated, SimulationOptions, simulate
-from unbend.tables.manifest.whole import Manifest
+from unbend.simulate import SimulationOptions, simulate
 
 # No property depends on how loaded the machine is.
 settings.register_profile("unbend", deadline=None)
@@ -54,11 +52,11 @@ class Ended:
     err: str
 
     @property
-    def text(self) -> str:
+    def text(self):
         return self.out + self.err
 
 
-def run_command(*words: object) -> Ended:
+def run_command(*words):
     """`unbend` with these words, in this process."""
     from unbend.cli import main
 
@@ -89,45 +87,45 @@ class MissionFolder:
     config: dict[str, Any]
 
     @property
-    def file(self) -> Path:
+    def file(self):
         return self.folder / "mission.yaml"
 
     @property
-    def log(self) -> Path:
+    def log(self):
         return self.folder / self.config["log"]["path"]
 
     @property
-    def output(self) -> Path:
+    def output(self):
         return self.folder / self.config["output"]["path"]
 
-    def save(self) -> Path:
+    def save(self):
         self.file.write_text(yaml.safe_dump(self.config, sort_keys=False), "utf-8")
         return self.file
 
-    def run(self, *options: str) -> Ended:
+    def run(self, *options):
         return run_command("run", self.save(), *options)
 
-    def manifest(self) -> dict[str, Any]:
+    def manifest(self):
         """The manifest of the last run, as JSON."""
         return json.loads((self.output / "manifest.json").read_text("utf-8"))
 
-    def run_to_manifest(self, exit_code: int = 0) -> dict[str, Any]:
+    def run_to_manifest(self, exit_code=0):
         """Run the mission, which must end with this code; its manifest as JSON."""
         ended = self.run()
         assert ended.code == exit_code, ended.text
         return self.manifest()
 
-    def refusal(self, code: str, exit_code: int = 6) -> str:
+    def refusal(self, code, exit_code=6):
         """Run the mission, which must be refused with this code; what the user reads."""
         ended = self.run()
         assert ended.code == exit_code, ended.text
         assert code in ended.err, ended.text
         return ended.err
 
-    def measurements(self) -> pa.Table:
+    def measurements(self):
         return pq.read_table(self.folder / "observations.parquet").replace_schema_metadata(None)
 
-    def measured_often(self, copies: int) -> pa.Table:
+    def measured_often(self, copies):
         """The measurements over and over, each time of other points."""
         once = self.measurements()
         parts = []
@@ -137,34 +135,34 @@ class MissionFolder:
             parts.append(once.set_column(place, "point", point))
         return pa.concat_tables(parts).combine_chunks()
 
-    def observe(self, table: pa.Table, name: str = "own.parquet") -> None:
+    def observe(self, table, name="own.parquet"):
         """Make a table the observations of the mission."""
         pq.write_table(table, self.folder / name)
         self.config["observations"]["path"] = name
 
-    def observe_text(self, text: str | bytes, name: str = "own.csv") -> None:
+    def observe_text(self, text, name="own.csv"):
         """Make a CSV the observations of the mission."""
         content = text.encode() if isinstance(text, str) else text
         (self.folder / name).write_bytes(content)
         self.config["observations"]["path"] = name
 
-    def results(self) -> pa.Table:
+    def results(self):
         return pq.read_table(self.output / "observations")
 
-    def stations(self) -> pa.Table:
+    def stations(self):
         return pq.read_table(self.output / "stations.parquet")
 
-    def result_rows(self) -> Any:
+    def result_rows(self):
         """The results of the last run as a DataFrame."""
         return self.results().to_pandas()
 
-    def station_rows(self) -> Any:
+    def station_rows(self):
         """The stations of the last run as a DataFrame."""
         return self.stations().to_pandas()
 
 
 @contextlib.contextmanager
-def at_home(folder: Path) -> Iterator[None]:
+def at_home(folder):
     """A folder is the user's home, with the user's cache in it; programs started inherit it."""
     folder.mkdir()
     home = {"HOME": str(folder), "USERPROFILE": str(folder)}
@@ -179,7 +177,7 @@ def at_home(folder: Path) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def homes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Iterator[Path]]:
+def homes(tmp_path_factory):
     """Folders for the homes of tests; what several tests use is made in the first of them."""
     folder = tmp_path_factory.mktemp("homes")
     with at_home(folder / "of_all"):
@@ -187,7 +185,7 @@ def homes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Iterator[Path]]:
 
 
 @pytest.fixture(autouse=True)
-def own_home(homes: Iterator[Path]) -> Iterator[Path]:
+def own_home(homes):
     """Each test has a home and a cache of its own, gone when it ends."""
     home = next(homes)
     with at_home(home):
@@ -196,13 +194,13 @@ def own_home(homes: Iterator[Path]) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
+def flown(tmp_path_factory):
     """A flight of one line: three logs, six images, some sixty observations."""
     return simulate(tmp_path_factory.mktemp("flown"), SMALL)
 
 
 @pytest.fixture(scope="session")
-def computed_once() -> Iterator[None]:
+def computed_once():
     """What takes most of a small run is computed once for equal inputs, in however many runs.
 
     What tie points say of a mission file, and the air of a flight: pure functions, known by all
@@ -217,7 +215,7 @@ def computed_once() -> Iterator[None]:
     estimate = air_of_mission.build_adjusted_profile
     found = {}
 
-    def diagnosis(stated: Any) -> Any:
+    def diagnosis(stated):
         given = {name: value for name, value in vars(stated).items() if not callable(value)}
         at = [stated.shifted(seconds) for seconds in (-60.0, 1.0)] if stated.shifted else []
         key = pickle.dumps((given, at, stated.rays(stated.cameras, {})))
@@ -225,7 +223,7 @@ def computed_once() -> Iterator[None]:
             said[key] = diagnose(stated)
         return said[key]
 
-    def build(samples: Any, standard: Any, latitude: float, ledger: Any, **named: Any) -> Any:
+    def build(samples, standard, latitude, ledger, **named):
         key = pickle.dumps((samples, standard, latitude, named))
         if key not in found:
             own = Ledger()
@@ -244,7 +242,7 @@ FLOWN_S = 1_750_000_000
 
 
 @contextlib.contextmanager
-def inputs_settled() -> Iterator[None]:
+def inputs_settled():
     """Inputs pass for old as soon as they are there: each run records when they were written.
 
     Otherwise it does so only 2 s after they were copied, which on a slow machine some runs are. The
@@ -258,17 +256,17 @@ def inputs_settled() -> Iterator[None]:
 
 
 @pytest.fixture
-def settled_inputs() -> Iterator[None]:
+def settled_inputs():
     """The inputs of a test pass for old as soon as they are there."""
     with inputs_settled():
         yield
 
 
 @pytest.fixture(scope="session")
-def mission_factory(flown: Simulated, computed_once: None) -> Callable[..., MissionFolder]:
+def mission_factory(flown, computed_once):
     """Copies the simulated mission into a folder."""
 
-    def make(folder: Path, kind: str = "bin") -> MissionFolder:
+    def make(folder, kind="bin"):
         folder.mkdir(parents=True, exist_ok=True)
         for source in (flown.logs[kind], flown.observations):
             copy = shutil.copy(source, folder)
@@ -281,15 +279,13 @@ def mission_factory(flown: Simulated, computed_once: None) -> Callable[..., Miss
 
 
 @pytest.fixture
-def mission(mission_factory: Callable[..., MissionFolder], tmp_path: Path) -> MissionFolder:
+def mission(mission_factory, tmp_path):
     """The simulated mission with its DataFlash log, in a folder of the test's own."""
     return mission_factory(tmp_path / "mission")
 
 
 @pytest.fixture(scope="session")
-def baseline(
-    mission_factory: Callable[..., MissionFolder], tmp_path_factory: pytest.TempPathFactory
-) -> MissionFolder:
+def baseline(mission_factory, tmp_path_factory):
     """The mission as simulated, after a run. Not to be changed."""
     done = mission_factory(tmp_path_factory.mktemp("baseline") / "mission")
     with inputs_settled():
@@ -299,11 +295,11 @@ def baseline(
 
 
 @contextlib.contextmanager
-def without_plots() -> Iterator[None]:
+def without_plots():
     """A report without plots, which take half of the time of a small run."""
     from unbend.batch import runs
 
-    def write_report(path: Path, manifest: Manifest, *_: object) -> None:
+    def write_report(path, manifest, *_):
         path.write_text(manifest.run.mission, "utf-8")
 
     with pytest.MonkeyPatch.context() as patch:
@@ -312,20 +308,20 @@ def without_plots() -> Iterator[None]:
 
 
 @pytest.fixture
-def plain_report() -> Iterator[None]:
+def plain_report():
     """The runs of a test have a report without plots."""
     with without_plots():
         yield
 
 
 @pytest.fixture
-def unbend() -> Callable[..., Ended]:
+def unbend():
     """`unbend` with some words, in this process."""
     return run_command
 
 
 @pytest.fixture
-def eighty_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+def eighty_columns(monkeypatch):
     """Texts as wide as in a terminal of 80 columns; otherwise what is captured is not wrapped."""
     monkeypatch.setenv("COLUMNS", "80")
 
@@ -442,13 +438,13 @@ DRAWN_OF = 10
 """`make test` has ten minutes."""
 
 
-def drawn_today(items: list[pytest.Item]) -> set[pytest.Item]:
+def drawn_today(items):
     """One in `DRAWN_OF` of these tests, by the seed."""
     draw = random.Random(SEED)
     return set(draw.sample(items, math.ceil(len(items) / DRAWN_OF)))
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config, items):
     """Mark tests by name and fixtures; skip those whose folder of ../shared is absent."""
     if os.environ.get("UNBEND_CASES") == "drawn":
         costly = [item for item in items if item.nodeid.removeprefix("tests/").startswith(DRAWN)]
@@ -467,12 +463,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.skip(reason=reason))
 
 
-def pytest_report_header() -> str:
+def pytest_report_header():
     return f"what tests draw: UNBEND_SEED={SEED}"
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+def pytest_runtest_makereport(item):
     """A failure names the seed of the day, without which it may not be there tomorrow."""
     report = yield
     if report.failed:
@@ -483,7 +479,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
 COUNTED = ("cells compared", "mutations", "assignments")
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+def pytest_terminal_summary(terminalreporter):
     """How much was compared and tried, which tests record as properties of theirs."""
     reports = [
         report

@@ -4,7 +4,6 @@ Five images of two strips over flat ground, in the files and the words of its ow
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -75,7 +74,7 @@ class Written:
     marks: pd.DataFrame
 
 
-def write_project(folder: Path) -> Written:
+def write_project(folder):
     """The script `sxb.xml`, the four tables and the report that it names, beside it."""
     draw = np.random.default_rng(8)
     angles_deg = np.column_stack([draw.normal(0.0, 0.6, (5, 2)), [-89.9, 92.6, 91.8, 92.3, -90.2]])
@@ -106,9 +105,7 @@ def write_project(folder: Path) -> Written:
     return Written(points, marks)
 
 
-def seen(
-    names: list[str], places: np.ndarray, angles_deg: np.ndarray, centres: np.ndarray
-) -> pd.DataFrame:
+def seen(names, places, angles_deg, centres):
     """Image points without noise, by image; of what one image alone sees only that control point.
 
     Omega, phi and kappa turn a camera with y up, which looks along -z, into the world.
@@ -129,9 +126,7 @@ def seen(
     return marks[lone | (tied & (marks["point"] != SEEN_ONCE))].reset_index(drop=True)
 
 
-def write_tables(
-    folder: Path, control: list[str], points: dict[str, np.ndarray], marks: pd.DataFrame
-) -> None:
+def write_tables(folder, control, points: dict[str, np.ndarray], marks):
     """Images, control points, and the image points of control and of tie points."""
     lines = [f"{k}, data/written/images/{name}" for k, name in enumerate(IMAGES, start=1)]
     write_lines(folder / "images.txt", "# id, path", lines)
@@ -150,11 +145,11 @@ def write_tables(
         write_lines(folder / name, "# id, image, x, y", lines)
 
 
-def write_lines(path: Path, head: str, lines: list[str]) -> None:
+def write_lines(path, head, lines):
     path.write_text("\n".join([head, *lines]) + "\n", "utf-8")
 
 
-def report_of(angles_deg: np.ndarray, centres: np.ndarray, control: dict[str, np.ndarray]) -> str:
+def report_of(angles_deg, centres, control: dict[str, np.ndarray]):
     """The parts of a report that say where cameras and control points are."""
     lines = ["Damped Bundle Adjustment Toolbox result file", "      Precisions:"]
     for number, name in enumerate(IMAGES):

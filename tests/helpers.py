@@ -1,7 +1,7 @@
 """What the tests of several rooms need: channels of a log, refusals, messages by their code."""
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,18 +9,28 @@ import pytest
 
 from unbend.errors import UnbendError
 from unbend.flight.channels import Channel, Source
-from unbend.messages import Message
 
 NS_PER_S = 10**9
-Refusal = pytest.ExceptionInfo[UnbendError]
+NED_FROM_ENU = np.array(
+    [
+        [0.0, 1.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [0.0, 0.0, -1.0],
+    ]
+)
+
+
+def ns(text):
+    """A time in ISO 8601, UTC, as Unix nanoseconds."""
+    return int(np.datetime64(text, "ns").astype(np.int64))
 
 
 def channel(
-    name: str,
-    seconds: np.ndarray,
-    *roles: str,
-    **columns: object,
-) -> Channel:
+    name,
+    seconds,
+    *roles,
+    **columns,
+):
     """A channel sampled at these seconds, of a message with its name; scalars hold throughout.
 
     >>> channel("BARO[0]", np.arange(3.0), "pressure", pressure_pa=9e4)["pressure_pa"]
@@ -37,7 +47,7 @@ def channel(
 
 
 @contextlib.contextmanager
-def refused(code: str, kind: type[UnbendError] = UnbendError) -> Iterator[Refusal]:
+def refused(code, kind=UnbendError):
     """A block of a test that must end with the refusal of this code, which says what to do.
 
     Where a kind is given, the refusal is of just this class.
@@ -52,12 +62,12 @@ def refused(code: str, kind: type[UnbendError] = UnbendError) -> Iterator[Refusa
     assert error.remedy, f"{code} does not say what to do"
 
 
-def with_code(messages: Iterable[Message], code: str) -> list[Message]:
+def with_code(messages, code):
     """The messages of a ledger that have this code."""
     return [message for message in messages if message.code == code]
 
 
-def codes_of_losses(messages: Iterable[Message]) -> list[str]:
+def codes_of_losses(messages):
     """The codes of the losses in a ledger, in their order."""
     losses = []
     for message in messages:
@@ -66,12 +76,12 @@ def codes_of_losses(messages: Iterable[Message]) -> list[str]:
     return losses
 
 
-def codes_of(manifest: Mapping[str, Any]) -> set[str]:
+def codes_of(manifest: Mapping[str, Any]):
     """The codes in the ledger of a manifest that was read as JSON."""
     return {entry["code"] for entry in manifest["ledger"]}
 
 
-def entry_of(manifest: Mapping[str, Any], code: str) -> dict[str, Any]:
+def entry_of(manifest: Mapping[str, Any], code):
     """The only entry with this code in the ledger of a manifest that was read as JSON."""
     entries = []
     for entry in manifest["ledger"]:

@@ -10,11 +10,11 @@ LOGS = {path.name: path for folder in FOLDERS for path in sorted(folder.glob("*.
 """Paths by name; the names of all are different."""
 
 
-def at_hand(*names: str) -> list[str]:
+def at_hand(*names):
     """Those of the names whose logs are here: tests of all of them name one of this repository."""
     return [name for name in names if name in LOGS]
 
 
-def with_suffix(*suffixes: str) -> list[Path]:
+def with_suffix(*suffixes):
     """The logs of a format."""
     return [path for path in LOGS.values() if path.suffix.lower() in suffixes]

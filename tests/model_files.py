@@ -3,9 +3,7 @@
 The heights of levels are integrated here, apart from the package: WGS84 normal gravity.
 """
 
-from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pyproj  # noqa: F401  (before ecCodes)
@@ -25,22 +23,15 @@ PRESSURE_LEVELS = (
 COLUMNS = ("valid_time", "latitude", "longitude", "level")
 """Dimensions of fields, column by column."""
 
-Column = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Heights above sea level [m], temperature [K], pressure and vapour pressure [Pa] of a column."""
 
-
-Air = Callable[[float, float, np.datetime64], Column]
-"""The column at a latitude and longitude [rad] at a time."""
-
-
-def geopotential(latitude: float, h: np.ndarray) -> np.ndarray:
+def geopotential(latitude, h):
     """[m2/s2] of heights [m]; Simpson is exact for gravity to second order."""
     gravity = np.vectorize(partial(normal_gravity, latitude))
     weighted = gravity(0.0) + 4.0 * gravity(0.5 * h) + gravity(h)
     return h * weighted / 6.0
 
 
-def at_pressures(column: Column, pressure_pa: np.ndarray) -> tuple[np.ndarray, ...]:
+def at_pressures(column, pressure_pa):
     """Height [m], temperature [K] and specific humidity of a column at these pressures."""
     h, kelvin, p, e = column
     log_p = np.log(p[::-1])
@@ -53,13 +44,17 @@ def at_pressures(column: Column, pressure_pa: np.ndarray) -> tuple[np.ndarray, .
 
 
 def dataset(
-    air: Air,
-    latitude_deg: Sequence[float],
-    longitude_deg: Sequence[float],
-    times: Sequence[str],
-    levels: Sequence[float] = PRESSURE_LEVELS,
-) -> xarray.Dataset:
-    """Fields on pressure levels, with the names of the climate data store since 2024."""
+    air,
+    latitude_deg,
+    longitude_deg,
+    times,
+    levels=PRESSURE_LEVELS,
+):
+    """Fields on pressure levels, with the names of the climate data store since 2024.
+
+    ``air`` gives the column at a latitude and longitude [rad] at a time: heights above sea
+    level [m], temperature [K], pressure and vapour pressure [Pa].
+    """
     stamps = np.array(times, "datetime64[ns]")
     latitude = np.radians(latitude_deg)
     longitude = np.radians(longitude_deg)
@@ -91,12 +86,12 @@ def dataset(
 
 
 def on_model_levels(
-    air: Air,
-    latitude_deg: Sequence[float],
-    longitude_deg: Sequence[float],
-    times: Sequence[str],
-    ground_m: float,
-) -> xarray.Dataset:
+    air,
+    latitude_deg,
+    longitude_deg,
+    times,
+    ground_m,
+):
     """Fields on ECMWF's levels 60 to 137 over a ground at one height [m above sea level]."""
     from unbend.atmosphere.soundings.model_levels import half_levels
 
@@ -135,19 +130,19 @@ def on_model_levels(
     return level_by_level(fields, coordinates, "hybrid")
 
 
-def level_by_level(fields: dict, coordinates: dict, level: str) -> xarray.Dataset:
+def level_by_level(fields, coordinates, level):
     """Fields whose levels are their second dimension, and have a name."""
     data = xarray.Dataset(fields, coordinates).swap_dims({"level": level})
     return data.transpose("valid_time", level, "latitude", "longitude")
 
 
-def netcdf(path: Path, data: xarray.Dataset) -> Path:
+def netcdf(path, data):
     """The fields as netCDF-4."""
     data.to_netcdf(path, engine="h5netcdf")
     return path
 
 
-def grib(path: Path, data: xarray.Dataset, lead_h: int = 0) -> Path:
+def grib(path, data, lead_h=0):
     """The same fields as GRIB2 from ecCodes' sample, a forecast where it has a lead time."""
     import eccodes
 

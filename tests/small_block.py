@@ -6,12 +6,9 @@ what the program reads with `SmallBlock`, in which each attitude is against the 
 vertical.
 """
 
-from __future__ import annotations
-
 import json
 import sqlite3
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -33,7 +30,7 @@ OPENCV = (K1, K2, P1, P2, K3)
 Y_UP_Z_BACK = np.diag([1.0, -1.0, -1.0])  # of x right, y down, z forward
 
 
-def ecef(lat_deg, lon_deg, h, *, a: float = A, e2: float = E2) -> np.ndarray:
+def ecef(lat_deg, lon_deg, h, *, a=A, e2=E2):
     """(n, 3) earth-centred coordinates, written out here."""
     lat = np.radians(lat_deg)
     lon = np.radians(lon_deg)
@@ -44,7 +41,7 @@ def ecef(lat_deg, lon_deg, h, *, a: float = A, e2: float = E2) -> np.ndarray:
     return np.stack([x, y, z], axis=-1)
 
 
-def enu_axes(lat_deg: float, lon_deg: float) -> np.ndarray:
+def enu_axes(lat_deg, lon_deg):
     """(3, 3) rows east, north, up at a place, in earth-centred coordinates."""
     lat = np.radians(lat_deg)
     lon = np.radians(lon_deg)
@@ -58,7 +55,7 @@ def enu_axes(lat_deg: float, lon_deg: float) -> np.ndarray:
     return np.array([east, north, up])
 
 
-def pixels(cam: np.ndarray) -> np.ndarray:
+def pixels(cam):
     """(n, 2) pixels of points in the axes of a camera, upper left corner (0, 0)."""
     x = cam[:, 0] / cam[:, 2]
     y = cam[:, 1] / cam[:, 2]
@@ -85,7 +82,7 @@ class SmallBlock:
     origin: tuple[float, float, float]
 
     @classmethod
-    def make(cls, lat0: float = 46.95, lon0: float = 7.45, *, spacing_m: float = 300.0):
+    def make(cls, lat0=46.95, lon0=7.45, *, spacing_m=300.0):
         """Twelve images in three lines 1.5 km above 60 points."""
         draw = np.random.default_rng(5)
         line, place = np.divmod(np.arange(12), 4)
@@ -111,15 +108,15 @@ class SmallBlock:
         return block
 
     @property
-    def centres(self) -> np.ndarray:
+    def centres(self):
         """(n, 3) earth-centred."""
         return ecef(self.lat, self.lon, self.h)
 
-    def cam_from_ecef(self) -> np.ndarray:
+    def cam_from_ecef(self):
         axes = list(map(enu_axes, self.lat, self.lon))
         return self.cam_from_enu @ np.array(axes)
 
-    def observed(self) -> pd.DataFrame:
+    def observed(self):
         places = ecef(self.point_lat, self.point_lon, self.point_h)
         turns = self.cam_from_ecef()
         rows = []
@@ -130,11 +127,11 @@ class SmallBlock:
                 rows.append((name, f"{k + 1}", *uv[k]))
         return pd.DataFrame(rows, columns=["image", "point", "x_px", "y_px"])
 
-    def seen_in(self, name: str) -> pd.DataFrame:
+    def seen_in(self, name):
         """The observations of an image."""
         return self.observations[self.observations["image"] == name]
 
-    def in_enu(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def in_enu(self):
         """Centres (n, 3), rotations to the camera (n, 3, 3), and points (p, 3), at the origin."""
         axes = enu_axes(*self.origin[:2])
         zero = ecef(*self.origin)
@@ -142,12 +139,12 @@ class SmallBlock:
         points = ecef(self.point_lat, self.point_lon, self.point_h) - zero
         return centres, self.cam_from_ecef() @ axes.T, points @ axes.T
 
-    def table(self) -> dict[str, tuple]:
+    def table(self):
         """Latitude, longitude, height and cam_from_enu by image."""
         values = zip(self.lat, self.lon, self.h, self.cam_from_enu, strict=True)
         return dict(zip(self.names, values, strict=True))
 
-    def write_colmap(self, folder: Path, *, scale=1.0, turn=None) -> None:
+    def write_colmap(self, folder, *, scale=1.0, turn=None):
         """A sparse model as text, in ``scale`` * (``turn`` applied to east, north, up)."""
         if turn is None:
             turn = np.eye(3)
@@ -178,7 +175,7 @@ class SmallBlock:
                 rows.append(f"{number} {x} {y} {z} 0 0 0 -1{tracks[number]}")
         (folder / "points3D.txt").write_text("\n".join(rows) + "\n")
 
-    def write_colmap_database(self, path: Path, *, known: np.ndarray | None, system: int = 0):
+    def write_colmap_database(self, path, *, known, system=0):
         """A database with keypoints and pose priors ``known`` (n, 3), of COLMAP 3.9's tables."""
         with sqlite3.connect(path) as base:
             base.executescript(
@@ -205,7 +202,7 @@ class SmallBlock:
                     prior = (number, known[number - 1].astype(float).tobytes(), system)
                     base.execute("INSERT INTO pose_priors VALUES (?, ?, ?, NULL)", prior)
 
-    def write_opensfm(self, folder: Path, *, name: str = "reconstruction.json", linear=None):
+    def write_opensfm(self, folder, *, name="reconstruction.json", linear=None):
         """A project; ``linear`` (3, 4) is ODM's transformation from east, north, up, if any."""
         centres, rotations, points = self.in_enu()
         known = centres + np.random.default_rng(2).normal(0.0, 0.5, centres.shape)
@@ -255,14 +252,14 @@ class SmallBlock:
 
     def write_metashape(
         self,
-        path: Path,
+        path,
         *,
-        reference: str,
+        reference,
         shift=(0.0, 0.0, 0.0),
         known=None,
         chunk_scale=23.0,
-        head: SmallRig | None = None,
-    ) -> None:
+        head=None,
+    ):
         """An exported document; the chunk is earth-centred, moved by ``shift``, turned and scaled.
 
         Slave cameras of a rig have their place in the master's axes, in the chunk's units.
@@ -322,7 +319,7 @@ class SmallBlock:
             f"<reference>{reference}</reference></chunk></document>"
         )
 
-    def in_grid(self, epsg: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def in_grid(self, epsg):
         """Centres and points (x, y, h) in a map projection, and rotations from its axes.
 
         The azimuth of grid north is taken from two places 10 m apart.
@@ -346,7 +343,7 @@ class SmallBlock:
         points = np.stack([px, py, self.point_h], axis=1)
         return centres, np.array(rotations), points
 
-    def write_pix4d(self, folder: Path, epsg: int, *, offset, leave_out=()) -> None:
+    def write_pix4d(self, folder, epsg, *, offset, leave_out=()):
         """The parameters of a project called ``survey``."""
         import pyproj
 
@@ -395,14 +392,14 @@ class SmallBlock:
 
     def write_blocks_exchange(
         self,
-        path: Path,
-        system: str,
+        path,
+        system,
         *,
-        orientation: str = "XRightYDown",
-        angles: bool = False,
-        millimetres: bool = False,
+        orientation="XRightYDown",
+        angles=False,
+        millimetres=False,
         known=None,
-    ) -> None:
+    ):
         """A block in ENU at the origin, in longitude and latitude, or in a map projection."""
         if system.startswith("ENU"):
             centres, rotations, points = self.in_enu()
@@ -421,7 +418,7 @@ class SmallBlock:
         }[orientation]
         pixel_mm = 0.004
 
-        def in_mm(right_px: float, down_px: float) -> str:
+        def in_mm(right_px, down_px):
             """A place in the image, in the stated axes."""
             right = pixel_mm * right_px
             down = pixel_mm * down_px
@@ -490,7 +487,7 @@ class SmallBlock:
         )
 
 
-def textbook_angles(m: np.ndarray) -> list[float]:
+def textbook_angles(m):
     """omega, phi, kappa [deg] of a matrix from object to image, as Kraus and Wolf have it."""
     omega = np.arctan2(-m[2, 1], m[2, 2])
     phi = np.arcsin(np.clip(m[2, 0], -1.0, 1.0))
@@ -498,7 +495,7 @@ def textbook_angles(m: np.ndarray) -> list[float]:
     return np.degrees([omega, phi, kappa]).tolist()
 
 
-def textbook_opk(cam: np.ndarray) -> list[float]:
+def textbook_opk(cam):
     """The same of a camera with x right, y down, z forward: the textbook's has y up, z back."""
     return textbook_angles(Y_UP_Z_BACK @ cam)
 
@@ -512,12 +509,12 @@ class SmallRig:
     master_from_head: np.ndarray
 
 
-def text_of(values: np.ndarray) -> str:
+def text_of(values):
     """The numbers of an array, one behind the other."""
     return " ".join(map(repr, np.ravel(values).tolist()))
 
 
-def largest_difference(stations: pd.DataFrame, block: SmallBlock) -> tuple[float, float]:
+def largest_difference(stations, block):
     """Of positions [m] and attitudes [deg] of the stations of a run from the truth."""
     away = []
     turned = []

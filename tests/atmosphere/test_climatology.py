@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose
 
 from tests.atmosphere.adjusting import rms
 from tests.atmosphere.flights import DATA, SHARED_SOUNDINGS, geopotential
-from tests.atmosphere.values import ns
-from tests.helpers import refused
+from tests.helpers import ns, refused
 from unbend.atmosphere import standard_atmosphere, standard_names
 from unbend.atmosphere.climate_tables import climate_names, climate_profile, supplements_profile
 from unbend.atmosphere.climatology import climatology, expected_spread, month_of

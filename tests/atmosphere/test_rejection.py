@@ -27,7 +27,7 @@ def thermometer(
     return SensorSamples(time_s * 10**9, np.array(h_m), readings, **more)
 
 
-def reasons(*codes: int):
+def reasons(*codes):
     return np.array(codes, np.uint8)
 
 

@@ -6,8 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.atmosphere.adjusting import codes
-from tests.atmosphere.values import ns, saturated
-from tests.helpers import refused
+from tests.atmosphere.values import saturated
+from tests.helpers import ns, refused
 from unbend.atmosphere.surface_report import (
     parse_metar,
     station_pressure,

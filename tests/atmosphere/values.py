@@ -11,11 +11,6 @@ from unbend.simulate.true_air import saturation_pressure_pa
 HYDROSTATIC_K_PER_M = 9.80665 * 28.9644 / 8314.32
 
 
-def ns(text):
-    """A time in ISO 8601, UTC, as Unix nanoseconds."""
-    return int(np.datetime64(text, "ns").astype(np.int64))
-
-
 def metres(geopotential_m, degrees):
     """The height above the sea of a geopotential height [m'] at a latitude, in normal gravity."""
     h = geopotential_m

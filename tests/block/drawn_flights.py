@@ -4,8 +4,6 @@ Independent of the package: times of exposures by distance along lines with wind
 lines, what gets lost, repeated or fired on the ground, and the camera's clock.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,11 +32,11 @@ class Drawn:
 
 
 def draw(
-    rng: np.random.Generator,
-    kind: str,
+    rng,
+    kind,
     *,
-    constant: bool = False,
-) -> Drawn:
+    constant=False,
+):
     """A flight of a kind, with intervals that are ``constant``, or with wind and turns."""
     everything = kind == "everything"
     exposed = exposures(rng, constant)
@@ -99,7 +97,7 @@ def draw(
     )
 
 
-def exposures(rng: np.random.Generator, constant: bool) -> np.ndarray:
+def exposures(rng, constant):
     """Times of exposures: 2 to 5 s apart along lines of a survey, 20 to 60 s from line to line."""
     interval = rng.uniform(2.0, 5.0)
     if constant:

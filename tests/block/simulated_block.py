@@ -4,8 +4,6 @@ The truth is independent of the package: numpy and scipy only, centres on a plan
 ellipsoid by hand.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,24 +18,20 @@ LON = np.radians(8.0)
 WIDEST_TANGENT = 0.45  # that an image shows, along its sides
 
 
-def axes(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
+def axes(lat, lon):
     """(n, 3, 3) rows east, north, up."""
     places_deg = np.degrees([lat, lon]).T
     return np.array([enu_axes(*place) for place in places_deg])
 
 
-def centres(
-    lat: np.ndarray,
-    lon: np.ndarray,
-    h: np.ndarray,
-) -> np.ndarray:
+def centres(lat, lon, h):
     """(n, 3) earth-centred."""
     lat_deg = np.degrees(lat)
     lon_deg = np.degrees(lon)
     return ecef(lat_deg, lon_deg, h)
 
 
-def unit(vectors: np.ndarray) -> np.ndarray:
+def unit(vectors):
     return vectors / np.linalg.norm(
         vectors,
         axis=-1,
@@ -45,7 +39,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
     )
 
 
-def turn(vector: np.ndarray) -> np.ndarray:
+def turn(vector):
     """(n, 3, 3) rotations by rotation vectors (n, 3)."""
     return Rotation.from_rotvec(vector).as_matrix()
 
@@ -67,7 +61,7 @@ class Block:
     pixel_rad: float
 
     @property
-    def orientations(self) -> Orientations:
+    def orientations(self):
         """What the log says of the stations."""
         frames = axes(self.lat, self.lon)
         return Orientations(
@@ -79,24 +73,24 @@ class Block:
         )
 
     @property
-    def rays(self) -> ImageRays:
+    def rays(self):
         """What the images show."""
         return ImageRays(self.image, self.point, self.direction, self.pixel_rad)
 
 
 def simulate_block(
-    seed: int,
+    seed,
     *,
-    lines: int = 3,
-    each: int = 12,
-    height: float = 1000.0,
-    base: float = 300.0,
-    points: int = 600,
+    lines=3,
+    each=12,
+    height=1000.0,
+    base=300.0,
+    points=600,
     sigma: tuple[float, ...] = (0.5, 0.5, 1.0, 0.003, 0.003, 0.008),
-    pixel_rad: float = 1e-4,
+    pixel_rad=1e-4,
     cameras: tuple[float, ...] = (0.0,),
-    errors: bool = True,
-) -> Block:
+    errors=True,
+):
     """A nadir block at 47 degrees north; ``cameras`` are their tilts across the line [rad]."""
     rng = np.random.default_rng(seed)
     heads = len(cameras)
@@ -141,18 +135,14 @@ def simulate_block(
     )
 
 
-def places(east_m: np.ndarray, north_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def places(east_m, north_m):
     """Latitude and longitude of places on the plane."""
     lat = LAT + north_m / METRES_OF_LATITUDE
     lon = LON + east_m / (METRES_OF_LATITUDE * np.cos(LAT))
     return lat, lon
 
 
-def attitudes(
-    rng: np.random.Generator,
-    line: np.ndarray,
-    tilt: np.ndarray,
-) -> np.ndarray:
+def attitudes(rng, line, tilt):
     """(n, 3, 3) camera from east, north, up: lines to and fro, tilted about y, with a wobble."""
     heading = line % 2 * np.pi + rng.normal(0.0, 0.05, line.size)
     o = np.zeros(line.size)

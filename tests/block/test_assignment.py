@@ -103,7 +103,7 @@ def few(flight):
 
 def test_drawn_flights_are_right_or_refused(record_property):
     """Never silently shifted; right in 95 % of the flights in which the likelihood ratio is met."""
-    outcomes: Counter[str] = Counter()
+    outcomes = Counter()
     for number in range(FLIGHTS):
         flight, assignment = drawn(number, [SEED, number])
         if not assignment.accepted:

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.flight.made_channels import counted, image_names
-from tests.helpers import refused
+from tests.helpers import NED_FROM_ENU, refused
 from unbend.block.oriented_images import (
     CartesianFrame,
     OrientedImages,
@@ -142,7 +142,8 @@ def test_the_aircraft_carries_the_camera():
 
     optical_axes = matrices_of(of_body.quaternion)[:, 2]
     to_the_left = -np.sqrt(0.5) * (TO_THE_RIGHT + UPWARD)
-    assert optical_axes == pytest.approx(np.tile(to_the_left, (COUNT, 1)), abs=1e-12)
+    to_the_left_each_time = np.tile(to_the_left, (COUNT, 1))
+    assert optical_axes == pytest.approx(to_the_left_each_time, abs=1e-12)
     east_m, north_m, up_m = -2.0 * FORWARD + 1.0 * RIGHT + 1.5 * DOWN
     moved_east_m = (of_body.lon_rad - images.lon_rad) * PARALLEL_M
     moved_north_m = (of_body.lat_rad - images.lat_rad) * EARTH_M
@@ -158,13 +159,6 @@ def test_the_aircraft_carries_the_camera():
 
 
 Y_UP_Z_BACK = np.diag([1.0, -1.0, -1.0])
-NED_FROM_ENU = np.array(
-    [
-        [0.0, 1.0, 0.0],
-        [1.0, 0.0, 0.0],
-        [0.0, 0.0, -1.0],
-    ]
-)
 MATRICES = matrices_of(block().quaternion)
 IN_GRADS = np.zeros((COUNT, 3))
 IN_GRADS[:, 0] = np.radians(94.4)  # omega of 85 deg

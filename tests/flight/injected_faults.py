@@ -5,8 +5,6 @@ beyond its gate, coasts on a biased accelerometer, and resets to the receiver wh
 it for too long. What it logs (position, velocity, tilt, innovation ratio, texts) follows from that.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.flight.made_channels import EARTH_M, quaternion_columns, rotation_of, with_columns
 from tests.helpers import NS_PER_S
-from unbend.flight.channels import Channel, Source
+from unbend.flight.channels import Source
 
 GATE_M = 4.6  # a receiver 77 m off has ratios of 14 to 20 in ArduPilot's logs
 KINDS = (
@@ -31,8 +29,6 @@ OF_RECEIVER = ("h_msl_m", "h_ellipsoid_m")
 OF_FILTER = ("h_msl_m", "h_home_m")
 COMPONENTS = ("q_w", "q_x", "q_y", "q_z")
 
-Channels = dict[str, Channel]
-
 
 @dataclass
 class Fault:
@@ -43,16 +39,16 @@ class Fault:
     end_ns: int
     size_m: float
 
-    def __str__(self) -> str:
+    def __str__(self):
         length_s = (self.end_ns - self.begin_ns) / NS_PER_S
         return f"{self.kind} of {self.size_m:.0f} m for {length_s:.0f} s"
 
-    def holds(self, time_ns: np.ndarray) -> np.ndarray:
+    def holds(self, time_ns):
         """(n,) at which times."""
         return (time_ns >= self.begin_ns) & (time_ns <= self.end_ns)
 
 
-def displaced(channel: Channel, north_east_m: np.ndarray) -> Channel:
+def displaced(channel, north_east_m):
     """The channel with its places moved by (n, 2) metres."""
     lat = channel["lat_rad"]
     north, east = north_east_m.T / EARTH_M
@@ -61,16 +57,16 @@ def displaced(channel: Channel, north_east_m: np.ndarray) -> Channel:
 
 
 def added(
-    channel: Channel,
-    amount: np.ndarray,
-    *names: str,
-) -> Channel:
+    channel,
+    amount,
+    *names,
+):
     """The channel with an amount added to those of the columns that it has."""
     columns = {name: channel[name] + amount for name in names if name in channel.columns}
     return with_columns(channel, **columns)
 
 
-def second_receiver(first: Channel, rng: np.random.Generator) -> Channel:
+def second_receiver(first, rng):
     """Another receiver of the flight: noise of its own, an antenna 0.4 m away, 30 ms later."""
     n = len(first)
     walk = np.convolve(rng.normal(0.0, 0.35, n + 199), np.ones(200) / 200**0.5, "valid")
@@ -107,7 +103,7 @@ class FilterModel:
     bias_m_s2: float
     heading: float  # of the bias
 
-    def errors(self, time_ns: np.ndarray) -> FilterErrors:
+    def errors(self, time_ns):
         """The errors at some times, one after the other."""
         n = time_ns.size
         made = FilterErrors(
@@ -153,10 +149,10 @@ class FilterModel:
 
 
 def tilted(
-    channel: Channel,
-    angle: np.ndarray,
-    azimuth: float,
-) -> Channel:
+    channel,
+    angle,
+    azimuth,
+):
     """An attitude turned by (n,) small angles [rad] about a level axis."""
     stored = rotation_of(np.stack([channel[name] for name in COMPONENTS], axis=1))
     axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
@@ -164,7 +160,7 @@ def tilted(
     return with_columns(channel, **quaternion_columns(turned))
 
 
-def says(channels: Channels, *texts: tuple[int, str]) -> None:
+def says(channels, *texts: tuple[int, str]):
     """Add lines to what the autopilot says."""
     old = channels["MSG"]
     old_lines = zip(old.time_ns.tolist(), old.labels["text"], strict=True)
@@ -179,11 +175,11 @@ def says(channels: Channels, *texts: tuple[int, str]) -> None:
 
 
 def inject(
-    good: Channels,
-    kind: str,
-    around_ns: int,
-    rng: np.random.Generator,
-) -> tuple[Channels, Fault]:
+    good,
+    kind,
+    around_ns,
+    rng,
+):
     """The channels of a log with one fault of a kind that contains an instant."""
     channels = dict(good)
     length_ns = rng.uniform(6.0, 40.0) * NS_PER_S
@@ -252,10 +248,10 @@ def inject(
 
 
 def drift_s(
-    fault: Fault,
-    time_ns: np.ndarray,
-    rng: np.random.Generator,
-) -> np.ndarray:
+    fault,
+    time_ns,
+    rng,
+):
     """For how long a receiver is led away; it returns as slowly as it went, or by a step."""
     elapsed_ns = time_ns - fault.begin_ns
     if rng.random() < 0.5:
@@ -264,10 +260,10 @@ def drift_s(
 
 
 def log_errors(
-    channels: Channels,
-    errors: FilterErrors,
-    azimuth: float,
-) -> None:
+    channels,
+    errors,
+    azimuth,
+):
     """Put the errors of a filter into what it logs."""
     pos = channels["POS"]
     channels["POS"] = displaced(pos, errors.place_m)
@@ -286,12 +282,12 @@ def log_errors(
 
 
 def go_over_to_dcm(
-    channels: Channels,
-    fault: Fault,
-    errors: FilterErrors,
-    model: FilterModel,
-    rng: np.random.Generator,
-) -> None:
+    channels,
+    fault,
+    errors,
+    model,
+    rng,
+):
     """The autopilot leaves the filter: DCM, which goes by the receiver."""
     begin_ns = fault.begin_ns + round(rng.uniform(0.3, 2.0) * NS_PER_S)
     end_ns = fault.end_ns + NS_PER_S
@@ -310,10 +306,10 @@ def go_over_to_dcm(
 
 
 def wind_up(
-    channels: Channels,
-    fault: Fault,
-    rng: np.random.Generator,
-) -> None:
+    channels,
+    fault,
+    rng,
+):
     """A barometer whose pressure creeps away and back, and the filter's height with it."""
     ramp_ns = round(rng.uniform(20.0, 120.0) * NS_PER_S)
     fault.size_m = rng.uniform(15.0, 60.0) * rng.choice([-1.0, 1.0])
@@ -326,7 +322,7 @@ def wind_up(
     fault.begin_ns -= ramp_ns
     fault.end_ns += ramp_ns
 
-    def climb_m(channel: Channel) -> np.ndarray:
+    def climb_m(channel):
         return np.interp(channel.time_ns, corners_ns, [0.0, fault.size_m, fault.size_m, 0.0])
 
     names = ["BARO[0]", "BARO[1]"] if rng.random() < 0.4 else ["BARO[0]"]  # on one static line

@@ -1,8 +1,6 @@
 """Logs of ArduPilot's simulator in ../shared/logs, with the truth of their exposures."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +15,6 @@ from unbend.flight.exposures import Events
 from unbend.flight.heights import height_system
 from unbend.flight.mount import Mount
 from unbend.flight.station_builder import build_stations
-from unbend.flight.stations import Stations
 from unbend.ingest import Log, open_log
 from unbend.simulate import optics
 
@@ -25,7 +22,6 @@ FLIGHTS = [path.name.removesuffix("_truth.csv") for path in sorted(REAL.glob("*_
 """The flights that are at hand."""
 
 NED_FROM_ENU = Rotation.from_matrix(optics.NED_FROM_ENU)
-Columns = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -40,11 +36,11 @@ class Flight:
     truth: pd.DataFrame
 
     @property
-    def time_ns(self) -> np.ndarray:
+    def time_ns(self):
         return self.truth["time_ns"].to_numpy()
 
 
-def flight(name: str, kind: str = "BIN") -> Flight:
+def flight(name, kind="BIN"):
     """The log of a kind, BIN or tlog, of a flight."""
     log = open_log(REAL / f"{name}.{kind}")
     rows = pd.read_csv(REAL / f"{name}_truth.csv")
@@ -62,7 +58,7 @@ def flight(name: str, kind: str = "BIN") -> Flight:
     return Flight(log, truth.sort_values("time_ns"))
 
 
-def unnamed_events(time_ns: np.ndarray, sigma_s: float = 0.0) -> Events:
+def unnamed_events(time_ns, sigma_s=0.0):
     """Exposures at these times, of no image."""
     images = np.full(time_ns.size, "", object)
     return Events("cam", images, time_ns, sigma_s)
@@ -70,10 +66,10 @@ def unnamed_events(time_ns: np.ndarray, sigma_s: float = 0.0) -> Events:
 
 def stations_by(
     roles: Mapping[str, Channel],
-    channels: Iterable[Channel],
-    events: Events,
-    max_gap_s: float,
-) -> Stations:
+    channels,
+    events,
+    max_gap_s,
+):
     """The stations of events by these channels in their roles, with what the log says of errors."""
     heights, _ = height_system(roles, None)
     accurate, accuracy = with_accuracy(roles, channels)
@@ -87,7 +83,7 @@ def stations_by(
     )
 
 
-def errors(stations: Stations, truth: pd.DataFrame) -> Columns:
+def errors(stations, truth):
     """(n, k) north and east, height [m], about the level axes and the vertical one [deg]."""
     latitude = np.radians(truth["lat"].to_numpy())
     longitude = np.radians(truth["lng"].to_numpy())
@@ -113,7 +109,7 @@ def errors(stations: Stations, truth: pd.DataFrame) -> Columns:
     }
 
 
-def sigmas(stations: Stations) -> Columns:
+def sigmas(stations):
     """(n, 1) of the same."""
     return {
         "horizontal": stations.sigma_horizontal_m[:, None],

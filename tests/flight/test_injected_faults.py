@@ -87,7 +87,7 @@ def test_good_logs_have_no_suspect(logs):
 def test_no_usable_station_is_far_off_and_few_good_ones_are_lost(logs):
     print(f"seed {SEED}: {DRAWS} faults")
     rng = np.random.default_rng(SEED)
-    counts: Counter[str] = Counter()
+    counts = Counter()
     failures = []
     for number in range(DRAWS):
         log = logs[number % 2]

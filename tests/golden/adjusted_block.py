@@ -4,8 +4,6 @@ The truth is the simulator's ray, an ODE, through real soundings; only `correct`
 `adjusted_profile` are the package's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +12,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from tests.atmosphere import flights
-from unbend.atmosphere import Profile, profile_from_table, standard_atmosphere
+from unbend.atmosphere import profile_from_table, standard_atmosphere
 from unbend.atmosphere.climatology import climatology, month_of
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
 from unbend.geodesy import lambert_gravity
@@ -41,17 +39,16 @@ FEWEST = 12  # observations an image
 GNSS_M = (0.03, 0.03, 0.05)
 SIGMA_PX = 0.3  # of tie points; pycolmap counts in whole pixels
 US1976 = standard_atmosphere("us1976")
-Array = np.ndarray
 
 
 class RealAir(flights.Truth):
     """The air of a balloon, smoothed over 100 m, so that rays through it have a smooth index."""
 
-    def __init__(self, balloon: flights.Balloon) -> None:
+    def __init__(self, balloon):
         step = 20.0
         h = np.arange(balloon.H[0], balloon.H[0] + 10_800.0, step)
 
-        def smooth(values: Array) -> Array:
+        def smooth(values):
             return gaussian_filter1d(np.interp(h, balloon.H, values), 100.0 / step, mode="nearest")
 
         vapour = np.exp(smooth(np.log(balloon.e)))
@@ -60,22 +57,22 @@ class RealAir(flights.Truth):
         self._index = make_interp_spline(self.h[every], self.refractivity[every], k=7)
 
     @property
-    def ground(self) -> float:
+    def ground(self):
         """Height of the ground above sea level [m]: its first level, and a camera may hang low."""
         return float(self.h[0]) + 5.0
 
-    def n(self, h_m: Array) -> Array:
+    def n(self, h_m):
         return 1.0 + self._index(h_m)
 
-    def dn_dh(self, h_m: Array) -> Array:
+    def dn_dh(self, h_m):
         return self._index(h_m, 1)
 
-    def profile(self) -> Profile:
+    def profile(self):
         """The table of the truth, every 5 m, as a profile of the package."""
         columns = (column[::5] for column in (self.h, self.t, self.p, self.e))
         return profile_from_table(*columns, gravity=lambert_gravity(self.latitude))
 
-    def adjusted_profile(self, climb: float, rng: np.random.Generator) -> Profile:
+    def adjusted_profile(self, climb, rng):
         """What the package makes of a flight's sensors, drawn with bias, lag, drift and noise."""
         samples = flights.fly(self, climb, flights.drawn(rng), rng, descent=True)
         background = climatology(
@@ -93,11 +90,11 @@ class RealAir(flights.Truth):
         return adjusted.profile
 
 
-def real_airs() -> list[RealAir]:
+def real_airs():
     return [RealAir(balloon) for balloon in flights.balloons()]
 
 
-def heads(tilt_deg: float = 45.0) -> tuple[SimulatedCamera, ...]:
+def heads(tilt_deg=45.0):
     """A nadir camera and four that look out to all sides."""
     sides = {
         "nadir": (0, 0),
@@ -133,42 +130,42 @@ class Block:
     seen: TrueObservations
 
     @property
-    def measured(self) -> Array:
+    def measured(self):
         """(n, 2) pixels, bent."""
         return np.stack([self.seen.x_px, self.seen.y_px], axis=1)
 
     @property
-    def straight(self) -> Array:
+    def straight(self):
         """(n, 2) pixels of the straight chords."""
         return np.stack([self.seen.x_true_px, self.seen.y_true_px], axis=1)
 
     @property
-    def foot(self) -> tuple[float, float]:
+    def foot(self):
         """Latitude and longitude [rad] of the first station."""
         return self.stations.lat_rad[0], self.stations.lon_rad[0]
 
-    def local(self, ecef: Array) -> Array:
+    def local(self, ecef):
         """(n, 3) east, north, up at the foot of the first station."""
         origin = to_ecef(*self.foot, np.array(0.0))
         return (ecef - origin) @ enu_axes(*self.foot).T
 
     @property
-    def local_rotation(self) -> Array:
+    def local_rotation(self):
         """(s, 3, 3) from these axes to the cameras."""
         s = self.stations
         return s.camera_from_enu @ enu_axes(s.lat_rad, s.lon_rad) @ enu_axes(*self.foot).T
 
 
 def fly_block(
-    air: RealAir,
-    height: float,
-    seed: int,
+    air,
+    height,
+    seed,
     cameras: tuple[SimulatedCamera, ...],
     *,
-    lines: int = 4,
-    shots: int = 5,
-    most: int = 24,
-) -> Block:
+    lines=4,
+    shots=5,
+    most=24,
+):
     """Lines with all cameras at each exposure, over 300 points 0-300 m high.
 
     ``height`` above ground [m]; ``most`` observations an image, 12 at least: images that see fewer
@@ -248,11 +245,11 @@ def fly_block(
 
 
 def _places(
-    latitude: float,
-    x: Array,
-    y: Array,
-    h_msl: Array,
-) -> tuple[Array, Array, Array]:
+    latitude,
+    x,
+    y,
+    h_msl,
+):
     """ECEF, latitude and longitude of places about x east, y north [m] of a latitude [rad]."""
     lat = latitude + y / 6.37e6
     lon = 0.15 + x / (6.38e6 * np.cos(latitude))
@@ -262,7 +259,7 @@ def _places(
     return ecef, lat, lon
 
 
-def correct(block: Block, profile: Profile, pixels: Array | None = None) -> Array:
+def correct(block, profile, pixels=None):
     """(n, 2) pixels that the package makes of the measured ones, or of others beside them."""
     if pixels is None:
         pixels = block.measured
@@ -306,24 +303,24 @@ def correct(block: Block, profile: Profile, pixels: Array | None = None) -> Arra
 class Adjusted:
     """Errors (n, 3) east, north, up [m] of points that are not control, and the cameras."""
 
-    error: Array
+    error: np.ndarray
     interior: dict[int, list[float]]
 
     @property
-    def z(self) -> float:
+    def z(self):
         """Root mean square error in height [m]."""
         return float(np.sqrt(np.mean(self.error[:, 2] ** 2)))
 
 
 def adjust(
-    block: Block,
-    pixels: Array,
+    block,
+    pixels,
     *,
-    control: int = 0,
-    gnss: bool = False,
-    calibrate: bool = False,
+    control=0,
+    gnss=False,
+    calibrate=False,
     interior: dict[int, list[float]] | None = None,
-) -> Adjusted:
+):
     """The points with orientations held; with ``control`` or ``gnss`` these are adjusted too.
 
     ``control``: so many points held at their true places; ``gnss``: places of the cameras as
@@ -413,7 +410,7 @@ NODES = np.array(
 )
 
 
-def _control(true: Array, usable: list[int]) -> list[int]:
+def _control(true, usable):
     """Of some points, those nearest to the nodes."""
     plane = true[:, :2]
     low = plane.min(axis=0)

@@ -1,9 +1,6 @@
 """Whole runs, made once for all the tests that look at them."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
@@ -11,7 +8,6 @@ import yaml
 
 import unbend
 from tests.conftest import without_plots
-from unbend.batch.executors import Outcome
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHARED = REPOSITORY.parent / "shared"
@@ -22,23 +18,20 @@ KINDS = ("bin", "tlog", "mcap")
 needs_shared = pytest.mark.shared("logs")
 
 
-def run_mission(path: Path) -> Outcome:
+def run_mission(path):
     """The mission with a report without plots."""
     with without_plots():
         return unbend.run_mission(path)
 
 
-def write_mission(path: Path, **sections: object) -> Path:
+def write_mission(path, **sections):
     """A mission file from its sections."""
     text = yaml.safe_dump(sections, sort_keys=False)
     path.write_text(text, encoding="utf-8")
     return path
 
 
-Section = dict[str, Any]
-
-
-def sample_sections(kind: str, output: Path) -> dict[str, Section]:
+def sample_sections(kind, output):
     """The mission file of a sample log, with absolute paths and another output."""
     folder = REPOSITORY / "configs"
     text = (folder / f"sample_{kind}.yaml").read_text(encoding="utf-8")
@@ -50,12 +43,12 @@ def sample_sections(kind: str, output: Path) -> dict[str, Section]:
     return sections
 
 
-def read_observations(folder: Path) -> pd.DataFrame:
+def read_observations(folder):
     """All parts of a run, in order."""
     return pd.read_parquet(folder / "observations")
 
 
-def run_sample(kind: str, folder: Path, **changes: Section) -> Outcome:
+def run_sample(kind, folder, **changes):
     """Run the mission of a sample log with some of its sections changed."""
     folder.mkdir(parents=True, exist_ok=True)
     sections = sample_sections(kind, folder / "results")
@@ -66,7 +59,7 @@ def run_sample(kind: str, folder: Path, **changes: Section) -> Outcome:
 
 
 @pytest.fixture(scope="session")
-def runs(tmp_path_factory) -> dict[str, Outcome]:
+def runs(tmp_path_factory):
     """The three logs of the one sample flight, corrected."""
     folder = tmp_path_factory.mktemp("sample")
     outcomes = {}
@@ -76,7 +69,7 @@ def runs(tmp_path_factory) -> dict[str, Outcome]:
 
 
 @pytest.fixture(scope="session")
-def truth() -> dict[str, pd.DataFrame]:
+def truth():
     """What the simulator knows: observations, stations, profile, points."""
     tables = {}
     for path in (REPOSITORY / "sample_logs" / "truth").glob("*.parquet"):

@@ -4,11 +4,7 @@ The truth is the simulator's ray (an ODE) through the index of US 1976; orientat
 unless a test spoils them. The package only runs the mission.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -54,7 +50,7 @@ Array = np.ndarray
 class TrueIndex:
     """The index of US 1976 over the height above sea level, by a spline of degree 7."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         h = np.arange(-300.0, 12_000.0, 20.0)
         air = standard_atmosphere("us1976")
         self.spline = make_interp_spline(
@@ -82,13 +78,13 @@ class HeldBlock:
     place: Array
     rows: pd.DataFrame  # image, point (numbers), x_px, y_px, h_g_m
 
-    def in_frame(self, ecef: Array) -> Array:
+    def in_frame(self, ecef):
         """(n, 3) east, north, up [m] about the middle of the block at sea level."""
         origin = to_ecef(LATITUDE, LONGITUDE, np.array(0.0))
         return (ecef - origin) @ enu_axes(LATITUDE, LONGITUDE).T
 
     @property
-    def camera_from_frame(self) -> Array:
+    def camera_from_frame(self):
         return self.camera_from_enu @ axes_at(self.centre) @ enu_axes(LATITUDE, LONGITUDE).T
 
 
@@ -101,34 +97,34 @@ def brown(x, y, k1, k2, p1, p2, k3):
     return u, v
 
 
-def distorted(tangents: Array) -> Array:
+def distorted(tangents):
     """(n, 2) pixels of tangents right and down."""
     u, v = brown(*tangents.T, *LENS)
     return FOCAL * np.column_stack([u, v]) + [CX, CY]
 
 
-def axes_at(ecef: Array) -> Array:
+def axes_at(ecef):
     """(n, 3, 3) the axes east, north, up of earth-centred places."""
     _, up = height_and_up(ecef)
     return enu_axes(*angles_of(up))
 
 
-def angles_of(up: Array) -> tuple[Array, Array]:
+def angles_of(up):
     """Latitude and longitude [rad] of verticals."""
     x, y, z = up.T
     return np.arcsin(z), np.arctan2(y, x)
 
 
 def fly(
-    above: float,
+    above,
     heads: dict[str, tuple[float, float]],
     *,
-    seed: int,
-    wobble_deg: float = 0.7,
-    each: int = 24,
-    ground: float = 200.0,
-    relief: float = 300.0,
-) -> HeldBlock:
+    seed,
+    wobble_deg=0.7,
+    each=24,
+    ground=200.0,
+    relief=300.0,
+):
     """20 images of each head, which is mounted with a roll and a pitch [deg], over 300 points.
 
     These lie 0 to ``relief`` above ``ground``, which is above sea level. Lines fly east and west in
@@ -178,22 +174,14 @@ def fly(
     return block
 
 
-def ecef_of(
-    x: Array,
-    y: Array,
-    h_msl_m: Array,
-) -> Array:
+def ecef_of(x, y, h_msl_m):
     """Earth-centred places x east and y north [m] of the middle of the block."""
     lat = LATITUDE + y / METRES_NORTH
     lon = LONGITUDE + x / METRES_EAST
     return to_ecef(lat, lon, np.asarray(h_msl_m + UNDULATION_M))
 
 
-def pairs_in_view(
-    block: HeldBlock,
-    each: int,
-    rng: np.random.Generator,
-) -> tuple[Array, Array]:
+def pairs_in_view(block, each, rng):
     """Numbers of images and of points well inside them, at most so many of each image."""
     axes = axes_at(block.centre)
     pairs = []
@@ -213,11 +201,7 @@ def pairs_in_view(
     return station, point
 
 
-def measured(
-    block: HeldBlock,
-    station: Array,
-    point: Array,
-) -> pd.DataFrame:
+def measured(block, station, point):
     """What these images see of these points, along bent rays."""
     centre = block.centre[station]
     rays = shoot(
@@ -233,7 +217,7 @@ def measured(
     return rows.assign(image=station, point=point)
 
 
-def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
+def write_mission(block, folder, **sections):
     """The mission file, orientations and observations of a block, in US 1976."""
     folder.mkdir(parents=True, exist_ok=True)
     height, up = height_and_up(block.centre)
@@ -282,7 +266,7 @@ def write_mission(block: HeldBlock, folder: Path, **sections: Any) -> Path:
     return path
 
 
-def intersected(block: HeldBlock, tangents: Array) -> Array:
+def intersected(block, tangents):
     """(p, 3) errors east, north, up [m] of points from straight rays (r, 2), right and down.
 
     Least squares of the distances, weighted by what a pixel is worth there; poses are held.

@@ -10,13 +10,9 @@ make a symbolic link. A library does on Windows what its makers found to work th
 what it does on Linux. Text files without a named encoding are an error in this package.
 """
 
-from __future__ import annotations
-
 import builtins
 import os
 import sys
-from types import ModuleType
-from typing import Any
 
 MODULES = ("fcntl", "grp", "pty", "pwd", "resource", "syslog", "termios", "tty")
 
@@ -43,7 +39,7 @@ SIGNAL_NAMES = (
 )
 
 
-def install() -> None:
+def install():
     """Take away, in this process and for good, what Windows does not have."""
     os.supports_dir_fd.clear()  # before shutil is imported: it chooses its rmtree by them
     os.supports_fd.clear()
@@ -53,11 +49,11 @@ def install() -> None:
     name_every_encoding()
 
 
-def is_ours(module: object) -> bool:
+def is_ours(module):
     return str(module).split(".")[0] in ("unbend", "__main__")
 
 
-def called_by_us() -> bool:
+def called_by_us():
     """Whether the package called, itself or through the standard library (pathlib, shutil)."""
     frame = sys._getframe(1)
     while frame is not None:
@@ -68,7 +64,7 @@ def called_by_us() -> bool:
     return False
 
 
-def remove_names() -> None:
+def remove_names():
     import mmap
     import signal
     import tempfile
@@ -76,7 +72,7 @@ def remove_names() -> None:
 
     real_import = builtins.__import__
 
-    def import_module(name: str, within: Any = None, *arguments: Any, **keywords: Any) -> Any:
+    def import_module(name, within=None, *arguments, **keywords):
         if name in MODULES and is_ours((within or {}).get("__name__")):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
         return real_import(name, within, *arguments, **keywords)
@@ -89,11 +85,11 @@ def remove_names() -> None:
     tempfile.TemporaryFile = tempfile.NamedTemporaryFile
 
 
-def hide(owner: ModuleType, names: list[str]) -> None:
+def hide(owner, names):
     """Move names out of a module, to where only libraries get them."""
     hidden = {name: vars(owner).pop(name) for name in names if name in vars(owner)}
 
-    def lookup(name: str) -> Any:
+    def lookup(name):
         if name not in hidden or is_ours(sys._getframe(1).f_globals.get("__name__")):
             raise AttributeError(f"module {owner.__name__!r} has no attribute {name!r}")
         return hidden[name]
@@ -101,7 +97,7 @@ def hide(owner: ModuleType, names: list[str]) -> None:
     owner.__getattr__ = lookup  # type: ignore[method-assign]
 
 
-def open_files() -> set[str]:
+def open_files():
     """Paths that this process holds open or mapped; not of files that have no name any more."""
     paths = set()
     for number in _real_listdir("/proc/self/fd"):
@@ -118,19 +114,19 @@ _real_listdir = os.listdir
 _real_open = open
 
 
-def refuse_what_an_open_file_forbids() -> None:
+def refuse_what_an_open_file_forbids():
     real_open = os.open
     real_fsync = os.fsync
     real_symlink = os.symlink
 
-    def refuse_if_open(path: Any) -> None:
+    def refuse_if_open(path):
         here = os.path.abspath(os.fspath(path))
         for held in open_files():
             if held == here or held.startswith(here + "/"):
                 raise PermissionError(13, f"[WinError 32] {held} is open in this process", here)
 
-    def guarded(function: Any, *, over: bool, paths: int) -> Any:
-        def call(*arguments: Any, **keywords: Any) -> Any:
+    def guarded(function, *, over, paths):
+        def call(*arguments, **keywords):
             if not called_by_us():
                 return function(*arguments, **keywords)
             for path in arguments[:paths]:
@@ -146,12 +142,12 @@ def refuse_what_an_open_file_forbids() -> None:
     os.unlink = os.remove = guarded(os.unlink, over=True, paths=1)
     os.rmdir = guarded(os.rmdir, over=True, paths=1)
 
-    def open_no_folder(path: Any, *arguments: Any, **keywords: Any) -> int:
+    def open_no_folder(path, *arguments, **keywords):
         if called_by_us() and os.path.isdir(path):
             raise PermissionError(13, "a folder has no file descriptor", path)
         return real_open(path, *arguments, **keywords)
 
-    def fsync_what_is_written(file: Any) -> None:
+    def fsync_what_is_written(file):
         if not called_by_us():
             real_fsync(file)
             return
@@ -162,7 +158,7 @@ def refuse_what_an_open_file_forbids() -> None:
             raise OSError(9, "a file that was opened for reading cannot be flushed")
         real_fsync(number)
 
-    def no_symlink(source: Any, target: Any, *arguments: Any, **keywords: Any) -> None:
+    def no_symlink(source, target, *arguments, **keywords):
         if not called_by_us():
             return real_symlink(source, target, *arguments, **keywords)
         raise OSError(1314, "a required privilege is not held by the client", source, None, target)
@@ -170,25 +166,25 @@ def refuse_what_an_open_file_forbids() -> None:
     os.open, os.fsync, os.symlink = open_no_folder, fsync_what_is_written, no_symlink
 
 
-def spawn_only() -> None:
+def spawn_only():
     import multiprocessing
     import multiprocessing.process
 
     multiprocessing.set_start_method("spawn")
     whole = multiprocessing.get_context
 
-    def get_context(method: str | None = None) -> Any:
+    def get_context(method=None):
         if method not in (None, "spawn"):
             raise ValueError(f"cannot find context for {method!r}")
         return whole(method)
 
     multiprocessing.get_context = get_context  # type: ignore[assignment]
     multiprocessing.get_all_start_methods = lambda: ["spawn"]
-    process: Any = multiprocessing.process.BaseProcess
+    process = multiprocessing.process.BaseProcess
     process.kill = process.terminate
 
 
-def name_every_encoding() -> None:
+def name_every_encoding():
     import warnings
 
     warnings.filterwarnings("error", category=EncodingWarning, module=r"unbend(\.|$)")

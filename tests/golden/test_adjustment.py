@@ -1,15 +1,11 @@
 """What it is all for: the sample flight adjusted by docs/pages/guide/pycolmap.md, and by COLMAP."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
 import sqlite3
 from contextlib import closing
 from itertools import combinations
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,7 +26,7 @@ PAGE = REPOSITORY / "docs" / "pages" / "guide" / "pycolmap.md"
 
 
 @pytest.fixture
-def beside_results(runs, tmp_path, monkeypatch) -> Path:
+def beside_results(runs, tmp_path, monkeypatch):
     """A folder as it looks after `make sample`."""
     shutil.copytree(runs["bin"].output, tmp_path / "results" / "sample_bin")
     logs = tmp_path / "sample_logs"
@@ -40,13 +36,13 @@ def beside_results(runs, tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def execute(code: str) -> dict[str, Any]:
-    names: dict[str, Any] = {}
+def execute(code):
+    names = {}
     exec(compile(code, PAGE.name, "exec"), names)
     return names
 
 
-def height_error(code: str, truth: dict[str, pd.DataFrame]) -> float:
+def height_error(code, truth: dict[str, pd.DataFrame]):
     """RMS error in height [m] of the points that the page's adjustment finds."""
     names = execute(code)
     points = names["points"]
@@ -83,11 +79,7 @@ observations[x] = 2 * observations.x_px - observations[x]
 observations[y] = 2 * observations.y_px - observations[y]"""
 
 
-def write_source(
-    path: Path,
-    rows: pd.DataFrame,
-    cameras: dict[str, list[float]],
-) -> None:
+def write_source(path, rows, cameras: dict[str, list[float]]):
     """A database as COLMAP leaves it: matches, and geometries whose matrices are a nonsense."""
     with closing(pycolmap.Database.open(path)) as database:
         camera_ids = {}
@@ -120,7 +112,7 @@ def write_source(
                 database.write_two_view_geometry(first, other, verified)
 
 
-def restore_measured_keypoints(path: Path, rows: pd.DataFrame) -> None:
+def restore_measured_keypoints(path, rows):
     """What the keypoints of an exported database were before, by the rows of the run."""
     with closing(sqlite3.connect(path)) as database, database:
         (matrices,) = database.execute(
@@ -133,7 +125,7 @@ def restore_measured_keypoints(path: Path, rows: pd.DataFrame) -> None:
             database.execute("UPDATE keypoints SET data = ? WHERE image_id = ?", (data, number))
 
 
-def true_heights(notes: list[str], points: pd.DataFrame) -> dict[str, float]:
+def true_heights(notes, points):
     """Up [m] by point in the frame that the notes of an exported database tell."""
     origin = re.search(r"from (\S+) N, (\S+) E, (\S+) m above", " ".join(notes))
     assert origin is not None
@@ -175,11 +167,7 @@ def test_colmap_maps_the_database_that_comes_out(tmp_path, truth):
     assert rms_of_mapped(uncorrected, points, up_m) >= 0.13
 
 
-def rms_of_mapped(
-    database: Path,
-    points: dict[str, list[str]],
-    up_m: dict[str, float],
-) -> float:
+def rms_of_mapped(database, points: dict[str, list[str]], up_m: dict[str, float]):
     """RMS error in height [m] of COLMAP's map; a point is known by its first keypoint."""
     options = pycolmap.IncrementalPipelineOptions(
         use_prior_position=True,

@@ -1,16 +1,13 @@
 """Logs that ArduPilot wrote in its own simulator, with their own camera events and truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.helpers import NED_FROM_ENU
 from unbend.batch.executors import Outcome
 
 from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
@@ -32,16 +29,9 @@ BODY_FROM_CAMERA = np.array(
         [0.0, 0.0, 1.0],
     ]
 )
-NED_FROM_ENU = np.array(
-    [
-        [0.0, 1.0, 0.0],
-        [1.0, 0.0, 0.0],
-        [0.0, 0.0, -1.0],
-    ]
-)
 
 
-def kinds_of(name: str) -> list[str]:
+def kinds_of(name):
     """The extensions of the logs of a flight that are at hand: BIN and tlog."""
     logs = sorted((SHARED / "logs").glob(f"{name}.*"))
     return [path.suffix.removeprefix(".") for path in logs]
@@ -55,16 +45,16 @@ class Flown:
     truth: pd.DataFrame
 
     @property
-    def manifest(self) -> dict[str, Any]:
+    def manifest(self):
         return self.outcome.manifest.values
 
-    def entries(self, code: str, field: str) -> list[Any]:
+    def entries(self, code, field):
         """A field of the ledger's entries with this code."""
         ledger = self.manifest["ledger"]
         return [entry[field] for entry in ledger if entry["code"] == code]
 
     @property
-    def is_card(self) -> bool:
+    def is_card(self):
         """Whether the log is the autopilot's card, not the telemetry."""
         return self.manifest["log"]["format"] == "dataflash"
 
@@ -82,11 +72,7 @@ SURVEY = Flight("sitl_survey", {"cam": 0}, 590.0)
 BELOW_SEA = Flight("sitl_belowsea_2cam", {"left": 0, "right": 1}, -428.0)
 
 
-def fly(
-    folder: Path,
-    flight: Flight,
-    extension: str,
-) -> Flown:
+def fly(folder, flight, extension):
     """Correct points scattered over every image of a simulator log."""
     truth = pd.read_csv(SHARED / "logs" / f"{flight.name}_truth.csv")
     truth = truth[truth["row"] == "CAM"]
@@ -121,7 +107,7 @@ def fly(
     )
 
 
-def scattered_points(images: list[str], seed: int) -> pd.DataFrame:
+def scattered_points(images, seed):
     """Five points in each of these images of `CAMERA`."""
     rng = np.random.default_rng(seed)
     count = 5 * len(images)
@@ -139,7 +125,7 @@ def scattered_points(images: list[str], seed: int) -> pd.DataFrame:
     scope="module",
     params=kinds_of(SURVEY.name),
 )
-def survey(request, tmp_path_factory) -> Flown:
+def survey(request, tmp_path_factory):
     return fly(tmp_path_factory.mktemp("survey"), SURVEY, request.param)
 
 
@@ -147,15 +133,15 @@ def survey(request, tmp_path_factory) -> Flown:
     scope="module",
     params=kinds_of(BELOW_SEA.name),
 )
-def two_cameras(request, tmp_path_factory) -> Flown:
+def two_cameras(request, tmp_path_factory):
     return fly(tmp_path_factory.mktemp("belowsea"), BELOW_SEA, request.param)
 
 
-def percentile_95(values: np.ndarray) -> float:
+def percentile_95(values):
     return np.percentile(np.abs(values), 95)
 
 
-def against_truth(stations: pd.DataFrame, truth: pd.DataFrame) -> dict[str, float]:
+def against_truth(stations, truth):
     """95th percentiles of the differences in metres and degrees."""
     numbers = stations["image"].str[-5:].astype(int)
     true = truth.set_index("Img").loc[numbers].reset_index()
@@ -209,7 +195,7 @@ def test_stations_of_two_cameras_lie_where_the_truth_does(two_cameras):
         assert max(gaps.values()) < 0.7
 
 
-def standard_icao(h_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def standard_icao(h_m):
     """ICAO standard from its definition (ISO 2533), troposphere."""
     geopotential = 6_356_766.0 * h_m / (6_356_766.0 + h_m)
     temperature = 288.15 - 0.0065 * geopotential
@@ -217,11 +203,7 @@ def standard_icao(h_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return temperature, pressure
 
 
-def assert_profile_is_standard(
-    flown: Flown,
-    rms_k: float,
-    most_hpa: float,
-) -> None:
+def assert_profile_is_standard(flown, rms_k, most_hpa):
     measured = flown.profile[flown.profile["source"] == "measured"]
     assert len(measured) > 10
     temperature, pressure = standard_icao(measured["h_m"].to_numpy())

@@ -5,8 +5,6 @@ flying height, in the air of nine soundings. The truth of rays is the simulator'
 `adjusted_block`.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -46,12 +44,12 @@ class Flown:
     adjusted: Profile
 
     @cached_property
-    def uncorrected_m(self) -> float:
+    def uncorrected_m(self):
         return adjust(self.block, self.block.measured).z
 
 
 @cache
-def flown(height: float, draw: int) -> Flown:
+def flown(height, draw):
     rng = np.random.default_rng([SEED, draw, int(height)])
     airs = real_airs()
     air = airs[rng.integers(len(airs))]
@@ -61,12 +59,12 @@ def flown(height: float, draw: int) -> Flown:
 
 
 @pytest.fixture(scope="module", params=UNCORRECTED_M, ids=lambda h: f"{h / 1000:.0f}km")
-def height(request) -> float:
+def height(request):
     return request.param
 
 
 @pytest.fixture
-def first(height) -> Flown:
+def first(height):
     return flown(height, 0)
 
 
@@ -100,7 +98,7 @@ def test_noise_hides_what_is_left(height, first):
         assert adjust(block, corrected).z == pytest.approx(perfect_m, rel=0.005)
 
 
-def radial_about_the_principal_point(block: Block, shift: np.ndarray) -> np.ndarray:
+def radial_about_the_principal_point(block, shift):
     """R of the angle off the axis, towards the principal point."""
     seen = block.seen
     camera = block.cameras[0]  # all have the same interior orientation
@@ -110,15 +108,15 @@ def radial_about_the_principal_point(block: Block, shift: np.ndarray) -> np.ndar
     return -off * (r_over_tan * (1.0 + off_tangent**2))[:, None]
 
 
-def other_sign(block: Block, shift: np.ndarray) -> np.ndarray:
+def other_sign(block, shift):
     return -shift
 
 
-def half_a_pixel_off(block: Block, shift: np.ndarray) -> np.ndarray:
+def half_a_pixel_off(block, shift):
     return shift + 0.5
 
 
-def angle_for_tangent(block: Block, shift: np.ndarray) -> np.ndarray:
+def angle_for_tangent(block, shift):
     zeta = block.seen.zeta_c_rad
     return shift * (zeta / np.tan(zeta))[:, None]
 

@@ -4,11 +4,8 @@ The clients are pycolmap, which reads the exported cameras.txt and adjusts the p
 programs that correct measured points the formula of the report, written out here.
 """
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -43,7 +40,6 @@ import pycolmap
 from .bundle_adjustment import Adjustment
 
 PIXEL_MM = 0.005
-Array = np.ndarray
 
 
 class Exported:
@@ -51,10 +47,10 @@ class Exported:
 
     def __init__(
         self,
-        block: HeldBlock,
-        folder: Path,
-        **options: float,
-    ) -> None:
+        block,
+        folder,
+        **options,
+    ):
         self.block = block
         self.folder = folder / "calibration"
         outcome = run_mission(write_mission(block, folder))
@@ -70,18 +66,18 @@ class Exported:
         self.calibration_of_image = pd.Index(self.names).get_indexer(calibrations)
 
     @property
-    def measured(self) -> Array:
+    def measured(self):
         """(r, 2) the measured pixels."""
         return self.block.rows[["x_px", "y_px"]].to_numpy()
 
-    def corrected(self) -> Array:
+    def corrected(self):
         """(r, 2) the run's own corrected pixels, in the order of the block's rows."""
         table = pd.read_parquet(self.run / "observations")
         return table[["x_corrected_px", "y_corrected_px"]].to_numpy()
 
 
 @pytest.fixture(scope="module")
-def nadir(tmp_path_factory) -> Exported:
+def nadir(tmp_path_factory):
     return Exported(
         fly(
             6000.0,
@@ -94,7 +90,7 @@ def nadir(tmp_path_factory) -> Exported:
 
 
 @pytest.fixture(scope="module")
-def five(tmp_path_factory) -> Exported:
+def five(tmp_path_factory):
     return Exported(
         fly(
             6000.0,
@@ -105,7 +101,7 @@ def five(tmp_path_factory) -> Exported:
     )
 
 
-def colmap_cameras(folder: Path, work: Path) -> dict:
+def colmap_cameras(folder, work):
     """The cameras of an exported cameras.txt, read by pycolmap as part of a model."""
     work.mkdir()
     (work / "cameras.txt").write_bytes((folder / "cameras.txt").read_bytes())
@@ -114,11 +110,7 @@ def colmap_cameras(folder: Path, work: Path) -> dict:
     return dict(pycolmap.Reconstruction(str(work)).cameras)
 
 
-def adjusted(
-    exported: Exported,
-    pixels: Array,
-    cameras: dict,
-) -> Array:
+def adjusted(exported, pixels, cameras):
     """(p, 3) errors of points that pycolmap adjusts with poses and cameras held."""
     block = exported.block
     adjustment = Adjustment()
@@ -147,7 +139,7 @@ def adjusted(
     return np.array(errors)
 
 
-def laboratory_camera(number: int) -> pycolmap.Camera:
+def laboratory_camera(number):
     """The user's own calibration."""
     k1, k2, p1, p2, k3 = LENS
     return pycolmap.Camera(
@@ -159,7 +151,7 @@ def laboratory_camera(number: int) -> pycolmap.Camera:
     )
 
 
-def rms_z(errors: Array) -> float:
+def rms_z(errors):
     return np.sqrt(np.mean(errors[:, 2] ** 2))
 
 
@@ -170,7 +162,7 @@ def test_pycolmap_finds_the_points_with_the_exported_cameras(
     name, least_m, most_left, request, tmp_path
 ):
     """Uncorrected points, held poses: 0.35 m become 0.013 m, five heads' 0.81 m 0.017 m."""
-    exported: Exported = request.getfixturevalue(name)
+    exported = request.getfixturevalue(name)
     cameras = colmap_cameras(exported.folder, tmp_path / "model")
     laboratory = {number: laboratory_camera(number) for number in range(1, len(exported.names) + 1)}
 
@@ -189,11 +181,7 @@ def test_pycolmap_finds_the_points_with_the_exported_cameras(
 NUMBER = r"([-+0-9.e]+)"
 
 
-def change_in(
-    report: str,
-    name: str,
-    unit: str,
-) -> dict[str, float]:
+def change_in(report, name, unit):
     """What a user reads in the report: numbers of a calibration, in px or mm."""
     part = report[report.index(f"{name}: ") :]
     text = part[part.index(f"    in {unit}: c ") :]
@@ -212,7 +200,7 @@ def test_a_program_that_corrects_points_finds_them_with_the_report(
     name, unit, size, most_left, request
 ):
     """BINGO's, Inpho's and the USGS' way: x right, y up, what is added, and a new c."""
-    exported: Exported = request.getfixturevalue(name)
+    exported = request.getfixturevalue(name)
     block = exported.block
     # The user's own calibration, by the inverse of the lens: pycolmap's.
     ideal = laboratory_camera(1).cam_from_img(exported.measured)
@@ -271,11 +259,11 @@ def test_straight_down_the_change_is_k(above, ppm, tmp_path):
 
 
 def metashape_pixels(
-    folder: Path,
-    name: str,
-    u: Array,
-    v: Array,
-) -> Array:
+    folder,
+    name,
+    u,
+    v,
+):
     """(2, n) of the tangents u right and v down; Metashape's p1 and p2 are OpenCV's p2 and p1."""
     xml = ElementTree.parse(folder / f"{name}.xml").getroot()
     m = {tag.tag: float(tag.text) for tag in xml if tag.tag != "projection"}
@@ -294,11 +282,11 @@ def metashape_pixels(
 
 
 def opensfm_pixels(
-    folder: Path,
-    name: str,
-    u: Array,
-    v: Array,
-) -> Array:
+    folder,
+    name,
+    u,
+    v,
+):
     """pixel = normalised * max(w, h) + (w - 1) / 2, its first pixel's centre at 0."""
     models = json.loads((folder / "camera_models.json").read_text(encoding="utf-8"))
     o = models[name]
@@ -318,11 +306,11 @@ def opensfm_pixels(
 
 
 def opencv_pixels(
-    folder: Path,
-    name: str,
-    u: Array,
-    v: Array,
-) -> Array:
+    folder,
+    name,
+    u,
+    v,
+):
     text = (folder / f"{name}.yaml").read_text(encoding="utf-8")
     text = text.removeprefix("%YAML:1.0\n---\n").replace("!!opencv-matrix", "")
     cv = yaml.safe_load(text)
@@ -420,7 +408,7 @@ def test_a_calibration_that_has_refraction_in_would_count_twice(nadir, tmp_path)
     assert codes_of_losses(run, tmp_path / "out") == ["EXPORT-CALIBRATION"]
 
 
-def codes_of_losses(run: Path, out: Path) -> list[str]:
+def codes_of_losses(run, out):
     """The losses of the run's export."""
     ledger = export_run(run, "calibration", out, {}).ledger
     return [entry.code for entry in ledger if entry.kind == "loss"]

@@ -1,7 +1,5 @@
 """The page of costs and accuracy has the figures of the pages and tests that it takes them from."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -15,7 +13,7 @@ PAGE = (DOCS / "pages" / "guide" / "exact.md").read_text(encoding="utf-8")
 WHEN = (DOCS / "when.md").read_text(encoding="utf-8")
 
 
-def row(text: str, label: str) -> list[str]:
+def row(text, label):
     """The cells of the one row of a table that begins with a label."""
     (line,) = re.findall(rf"^\| {re.escape(label)}.*", text, re.MULTILINE)
     return re.split(r"\s*\|\s*", line.strip("| "))[1:]
@@ -44,7 +42,7 @@ def test_the_size_of_refraction(label, factor):
         assert float(shown) == pytest.approx(value, abs=0.51 * 10.0**-digits)
 
 
-def range_of(label: str) -> tuple[float, float]:
+def range_of(label):
     """The smallest and the largest figure of a row over nine atmospheres."""
     values = [float(cell) for cell in row(WHEN, label)]
     return min(values), max(values)

@@ -4,8 +4,6 @@ A copy of the package gets a toy of each kind, exactly those files and lines, an
 another process through the command line or the names of `unbend`.
 """
 
-from __future__ import annotations
-
 import difflib
 import json
 import os
@@ -13,7 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -308,7 +306,7 @@ class Copy:
     folder: Path
     process: subprocess.Popen[str]
 
-    def answer(self, asked: str | list[str], code: int) -> str:
+    def answer(self, asked, code):
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         print(json.dumps(asked), file=self.process.stdin, flush=True)
@@ -316,15 +314,15 @@ class Copy:
         assert ended == code, said
         return str(said)
 
-    def python(self, code: str) -> str:
+    def python(self, code):
         return self.answer(code, 0)
 
-    def unbend(self, *words: object, code: int = 0) -> str:
+    def unbend(self, *words, code=0):
         return self.answer([str(word) for word in words], code)
 
 
 @pytest.fixture(scope="module")
-def copy(tmp_path_factory) -> Iterator[Copy]:
+def copy(tmp_path_factory):
     """All toys in one copy and one process, so that it is imported and compiled once."""
     folder = tmp_path_factory.mktemp("toys")
     shutil.copytree(
@@ -360,7 +358,7 @@ def copy(tmp_path_factory) -> Iterator[Copy]:
         process.stdin.close()
 
 
-def documented() -> dict[str, tuple[str, str, str]]:
+def documented():
     """The table of CONTRIBUTING.md: new file, registry and line by kind of thing."""
     text = CONTRIBUTING.read_text(encoding="utf-8")
     table = text.split("| new thing | new file | registry | line |\n")[1].split("\n\n")[0]

@@ -8,8 +8,6 @@ and two check points. Its control has 2, 2 and 4 cm, which pycolmap cannot take:
 and moves the height of check point 351 by 4.4 cm.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -79,7 +77,7 @@ STRASBOURG = Solution(
 )
 
 
-def known_solution(points: dict[str, Array], marks: pd.DataFrame) -> Solution:
+def known_solution(points: dict[str, Array], marks):
     """Of the block that is written here: the true check points, and what is left of the noise.
 
     Five cameras and all points but the control take their share of it; the rest is known to a
@@ -105,7 +103,7 @@ class Block:
     scope="module",
     params=["written", "strasbourg"] if STRASBOURG_FOLDER.is_dir() else ["written"],
 )
-def block(request, tmp_path_factory) -> Block:
+def block(request, tmp_path_factory):
     if request.param == "strasbourg":
         return Block(STRASBOURG_FOLDER, STRASBOURG)
 
@@ -125,7 +123,7 @@ class Project:
     solution: Solution
 
 
-def table(path: Path) -> list[list[str]]:
+def table(path):
     """The cells of the rows of a file; from # on a line is a comment."""
     rows = []
     for line in path.read_text(encoding="utf-8").splitlines():
@@ -135,7 +133,7 @@ def table(path: Path) -> list[list[str]]:
     return rows
 
 
-def poses_of_report(path: Path) -> Poses:
+def poses_of_report(path):
     """Angles and places of the photos, from the part before the qualities."""
     report = path.read_text(encoding="utf-8").partition("\n   Quality")[0]
     poses = {}
@@ -151,7 +149,7 @@ def poses_of_report(path: Path) -> Poses:
 
 
 @pytest.fixture(scope="module")
-def raw(block) -> Project:
+def raw(block):
     """The files as they are, by a parser of this test."""
     names = {}
     for number, path in table(block.folder / "images.txt"):
@@ -177,7 +175,7 @@ def raw(block) -> Project:
 
 
 @pytest.fixture(scope="module")
-def read(block) -> Project:
+def read(block):
     """The same by the package."""
     script = block.folder / "sxb.xml"
     (make_camera,) = dbat.read_cameras(script).values()
@@ -195,24 +193,20 @@ def read(block) -> Project:
     )
 
 
-def rotations_of(quaternions: Array) -> Array:
+def rotations_of(quaternions):
     return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
 
 
-def poses_by_image(
-    images,
-    turns: Array,
-    centres: Array,
-) -> Poses:
+def poses_by_image(images, turns, centres):
     poses = zip(turns, centres, strict=True)
     return dict(zip(images, poses, strict=True))
 
 
-def joined(batches) -> pd.DataFrame:
+def joined(batches):
     return pd.concat([batch.to_pandas() for batch in batches], ignore_index=True)
 
 
-def adjust(project: Project) -> tuple[float, int, dict[str, Array]]:
+def adjust(project):
     """Point RMS [px], how many image points, and the adjusted check points.
 
     DBAT's sigmas are 0.5 px of marked points (their numbers are small) and 1 px of the others: a
@@ -272,7 +266,7 @@ def adjust(project: Project) -> tuple[float, int, dict[str, Array]]:
     return rms_px, len(residuals), checks
 
 
-def assert_is_dbats(project: Project) -> None:
+def assert_is_dbats(project):
     rms_px, image_points, checks = adjust(project)
 
     solution = project.solution
@@ -282,11 +276,7 @@ def assert_is_dbats(project: Project) -> None:
         assert np.abs(checks[point] - position).max() < WITHIN_M
 
 
-def assert_same_image_points(
-    rows: pd.DataFrame,
-    project: Project,
-    within_px: float,
-) -> None:
+def assert_same_image_points(rows, project, within_px):
     pairs = rows.merge(
         project.rows,
         on=["image", "point"],
@@ -318,7 +308,7 @@ def test_it_notices_other_axes(raw):
         assert_is_dbats(replace(raw, rows=mirrored))
 
 
-def exported(project: Project, name: str, folder: Path) -> Path:
+def exported(project, name, folder):
     """The block in a format of other programs, as if it stood at Strasbourg, free of refraction."""
     rotations, centres = zip(*project.poses.values(), strict=True)
     rotation = np.stack(rotations)
@@ -390,11 +380,7 @@ def exported(project: Project, name: str, folder: Path) -> Path:
     return out
 
 
-def in_dbats_frame(
-    poses: Poses,
-    turns: Array,
-    places: Array,
-) -> Poses:
+def in_dbats_frame(poses, turns, places):
     """Orientations in another frame, turned back by the places of the cameras: the same poses."""
     centres = np.stack([centre for _, centre in poses.values()])
     middle = centres.mean(axis=0)
@@ -464,7 +450,7 @@ class BundlerBlock:
     rows: pd.DataFrame
 
 
-def bundler_block(folder: Path) -> BundlerBlock:
+def bundler_block(folder):
     """A block as Bundler defines it.
 
     A point X is P = R X + t in a camera that looks along -z, y up, and f (-P / P_z) in pixels from

@@ -1,7 +1,5 @@
 """The gallery's page against its scripts: all numbers of the quick ones, a part of the others."""
 
-from __future__ import annotations
-
 import tomllib
 from importlib import import_module
 
@@ -20,7 +18,7 @@ PARTS = {
 """Arguments for less than all rows."""
 
 
-def same(cell: str, shown: str) -> bool:
+def same(cell, shown):
     """Equal words, or numbers within two units of the last digit or 2 % (another processor)."""
     computed = cell.replace(",", "").split()
     printed = shown.replace(",", "").split()

@@ -1,11 +1,8 @@
 """Memory does not depend on the number of observations."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -26,7 +23,7 @@ print(json.dumps([outcome.manifest.values["observations"]["rows"], peak]))
 """
 
 
-def peak_of(folder: Path, rows: int) -> tuple[int, int]:
+def peak_of(folder, rows):
     """Rows corrected, and the largest resident memory [bytes] of a process that did it."""
     small = pq.read_table(REPOSITORY / "sample_logs" / "observations.parquet")
     block = pa.concat_tables([small] * 200).combine_chunks()

@@ -1,7 +1,5 @@
 """The sample mission where Python has nothing that only POSIX has: see `like_windows`."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -50,7 +48,7 @@ def like_windows(tmp_path_factory):
         "PYTHONIOENCODING": "cp1252",
     }
 
-    def run(*words: object, code: int = 0) -> str:
+    def run(*words, code=0):
         done = subprocess.run(
             [sys.executable, *map(str, words)],
             capture_output=True,
@@ -69,7 +67,7 @@ def like_windows(tmp_path_factory):
     return run
 
 
-def sample(folder: Path, name: str) -> Path:
+def sample(folder, name):
     """The sample's mission file with absolute inputs and a folder of results of its own."""
     config = yaml.safe_load(SAMPLE.read_text(encoding="utf-8"))
     for section in ("log", "observations"):

@@ -1,7 +1,5 @@
 """Logs of real flights run to the end; their events and measurements are made up here."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +7,6 @@ import pandas as pd
 import pytest
 
 from tests.helpers import NS_PER_S
-from unbend.batch.executors import Outcome
 from unbend.errors import MissionError
 from unbend.ingest import open_log
 from unbend.report.summary import remarks, verdict
@@ -21,12 +18,12 @@ pytestmark = needs_shared
 
 
 def fly(
-    folder: Path,
-    name: str,
+    folder,
+    name,
     ground: dict[str, object],
-    undulation_m: float | None = None,
-    **log: object,
-) -> Outcome:
+    undulation_m=None,
+    **log,
+):
     """Exposures every few seconds over the attitude channel, five points in each image."""
     path = SHARED / "logs" / name
     channels = [channel for channel in open_log(path).channels if "attitude" in channel.roles]
@@ -54,7 +51,7 @@ def fly(
     return run_mission(mission)
 
 
-def checked(outcome: Outcome) -> tuple[pd.DataFrame, pd.DataFrame]:
+def checked(outcome):
     """Stations and observations; every row has values or a reason."""
     stations = pd.read_parquet(outcome.output / "stations.parquet")
     observations = read_observations(outcome.output)

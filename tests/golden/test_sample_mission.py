@@ -4,8 +4,6 @@ The truth comes from `unbend.simulate`: another refractive index (Edlén), rays 
 on the ellipsoid, hydrostatics by an ODE, another camera model: nothing of the code under test.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -14,12 +12,11 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend import correct
-from unbend.atmosphere import Profile, profile_from_table
+from unbend.atmosphere import profile_from_table
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.batch.runs import read_mission
 from unbend.config import load_mission
@@ -35,11 +32,10 @@ from .conftest import (
     sample_sections,
 )
 
-Array = NDArray[np.float64]
 QUATERNION = ["q_x", "q_y", "q_z", "q_w"]
 
 
-def rms(values: Array) -> float:
+def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -48,12 +44,12 @@ CORRECTED = ["x_corrected_px", "y_corrected_px"]
 TRUE = ["x_true_px", "y_true_px"]
 
 
-def distance(first: Array | pd.DataFrame, second: pd.DataFrame) -> Array:
+def distance(first, second):
     """Pixels between points (n, 2)."""
     return np.linalg.norm(np.asarray(first) - second.to_numpy(), axis=1)
 
 
-def profile_of(table: pd.DataFrame, latitude_rad: float) -> Profile:
+def profile_of(table, latitude_rad):
     """The simulator's air."""
     return profile_from_table(
         table["h_m"],
@@ -65,16 +61,12 @@ def profile_of(table: pd.DataFrame, latitude_rad: float) -> Profile:
 
 
 @pytest.fixture(scope="module")
-def true_profile(truth) -> Profile:
+def true_profile(truth):
     latitude_deg = float(truth["stations"]["lat_deg"].mean())
     return profile_of(truth["profile"], latitude_deg * DEGREE)
 
 
-def error_with(
-    profile: Profile,
-    stations: pd.DataFrame,
-    truth: dict[str, pd.DataFrame],
-) -> Array:
+def error_with(profile, stations, truth: dict[str, pd.DataFrame]):
     """Distances of corrected from true points [px]."""
     mission = load_mission(REPOSITORY / "configs" / "sample_bin.yaml")
     observations = truth["observations"]
@@ -180,7 +172,7 @@ def test_kernel_against_the_ode_on_the_true_profile(truth):
     breaks = air.break_heights_m
     between = tuple(breaks[(breaks > ground_m) & (breaks < camera_m)])
 
-    def index(h: float) -> float:
+    def index(h):
         return 1.0 + float(air.refractivity(h))
 
     for zeta_deg in (0.2, 45.0, 75.0, 85.0):

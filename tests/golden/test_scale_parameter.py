@@ -4,12 +4,8 @@ The truth is the simulator's: rays by its ODE on the ellipsoid, through air that
 profile of the corrections along the leading mode of that profile's covariance.
 """
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -50,14 +46,14 @@ UP = [0.0, 0.0, 1.0]
 NORTH = [0.0, 1.0, 0.0]
 
 
-def recipe() -> Callable[..., tuple[float, float, Array]]:
+def recipe():
     """The function `adjust` of the page."""
-    names: dict[str, Any] = {}
+    names = {}
     exec(compile(RECIPE, "docs/scale_parameter.md", "exec"), names)
     return names["adjust"]
 
 
-def air_of(state: Array) -> Profile:
+def air_of(state):
     """One layer to 11 km, so that the simulator's rays meet no kink; changed by a state."""
     standard = standard_atmosphere("us1976", latitude=LAT)
     k = EDGES.size
@@ -72,7 +68,7 @@ def air_of(state: Array) -> Profile:
     return replace(standard, layers=layers, name="adjusted")
 
 
-def expected_air() -> TimedProfile:
+def expected_air():
     """Air of which nothing was measured: 6 K, 0.6 % of pressure, a quarter of the vapour."""
     k = EDGES.size
     size = 2 * k + 1
@@ -91,10 +87,10 @@ class MediumOfProfile:
 
     profile: Profile
 
-    def n(self, h_m: Array) -> Array:
+    def n(self, h_m):
         return 1.0 + self.profile.refractivity(h_m)
 
-    def dn_dh(self, h_m: Array) -> Array:
+    def dn_dh(self, h_m):
         above = self.profile.refractivity(h_m + 2.0)
         below = self.profile.refractivity(h_m - 2.0)
         return (above - below) / 4.0
@@ -112,11 +108,11 @@ class Block:
 
 
 def sides(
-    away: float,
-    east_or_west: Array,
-    north_or_south: Array,
-    inwards: float,
-) -> list[list[tuple[float, float]]]:
+    away,
+    east_or_west,
+    north_or_south,
+    inwards,
+):
     """Pairs of a place and an aim: so far from the middle, along two sides and two others."""
     pairs = []
     for side in (-away, away):
@@ -126,7 +122,7 @@ def sides(
     return pairs
 
 
-def block_of(kind: str, rng: np.random.Generator) -> Block:
+def block_of(kind, rng):
     """24 images over 100 points: two strips from either side at 75 degrees, a nadir block, or heads
     at 45 degrees from four sides."""
     if kind == "75":
@@ -171,11 +167,11 @@ def block_of(kind: str, rng: np.random.Generator) -> Block:
 
 
 def measured(
-    block: Block,
-    sigmas: float,
-    noise_px: float,
-    rng: np.random.Generator,
-) -> tuple[pd.DataFrame, float]:
+    block,
+    sigmas,
+    noise_px,
+    rng,
+):
     """Corrected in the expected air, seen in one that many sigmas along the mode; sigma of s."""
     air = expected_air()
     i = block.image
@@ -263,13 +259,13 @@ class Adjusted:
 
 
 def adjusted(
-    kind: str,
-    sigmas: float = 0.0,
-    noise_px: float = 0.0,
-    seed: int = 0,
-    sign: float = 1.0,
-    **more: Any,
-) -> Adjusted:
+    kind,
+    sigmas=0.0,
+    noise_px=0.0,
+    seed=0,
+    sign=1.0,
+    **more,
+):
     """A block in air that many sigmas along the mode, with derivatives of this sign."""
     rng = np.random.default_rng(seed)
     block = block_of(kind, rng)

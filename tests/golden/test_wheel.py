@@ -1,7 +1,5 @@
 """The wheel by itself: built, installed without extras far from the checkout, and run."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -24,7 +22,7 @@ LONGEST_S = 900.0
 Ended = subprocess.CompletedProcess[str]
 
 
-def ended(*words: object, place: Path, **environment: str) -> Ended:
+def ended(*words, place, **environment):
     return subprocess.run(
         [str(word) for word in words],
         cwd=place,
@@ -36,7 +34,7 @@ def ended(*words: object, place: Path, **environment: str) -> Ended:
     )
 
 
-def answer(*words: object, place: Path, **environment: str) -> str:
+def answer(*words, place, **environment):
     """What a command prints that must end well."""
     done = ended(*words, place=place, **environment)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -44,7 +42,7 @@ def answer(*words: object, place: Path, **environment: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory) -> Path:
+def wheel(tmp_path_factory):
     pytest.importorskip("hatchling", reason="the build backend is not installed")
     folder = tmp_path_factory.mktemp("wheel")
     build = (*PIP, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder)
@@ -54,7 +52,7 @@ def wheel(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def clean_python(wheel, tmp_path_factory) -> Path:
+def clean_python(wheel, tmp_path_factory):
     """The Python of an environment with the wheel and what the program needs."""
     folder = tmp_path_factory.mktemp("clean")
     answer(sys.executable, "-m", "venv", "environment", place=folder)

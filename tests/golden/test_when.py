@@ -3,8 +3,6 @@
 UNBEND_ADJUSTMENTS airs (1; `make faults`: all nine) are drawn from UNBEND_SEED.
 """
 
-from __future__ import annotations
-
 import os
 import re
 
@@ -18,7 +16,6 @@ from docs.when import (
     AIRS,
     CASES,
     DOCUMENT,
-    Numbers,
     column,
     document,
 )
@@ -32,7 +29,7 @@ TEXT = DOCUMENT.read_text(encoding="utf-8")
 TABLES = {"Uncorrected [m]": CASES, "Corrected [m]": CASES, "Errors that remain": AIRS}
 
 
-def printed() -> tuple[list[str], list[tuple[Numbers, Numbers, Numbers]]]:
+def printed():
     """Names of the airs, and the columns of the document."""
     names = re.findall(r"^\d\. (\S+)$", TEXT, re.MULTILINE)
     tables = []

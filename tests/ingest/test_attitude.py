@@ -6,6 +6,7 @@ import yaml
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from tests.helpers import NED_FROM_ENU
 from unbend.ingest.attitude import (
     earth_frame_attitude,
     ned_frd_of_enu_flu,
@@ -13,11 +14,10 @@ from unbend.ingest.attitude import (
     unit_quaternions,
 )
 
-ENU_OF_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_OF_FRD = np.diag([1.0, -1.0, -1.0])
 
 
-def matrix(q: np.ndarray) -> np.ndarray:
+def matrix(q):
     return Rotation.from_quat(q, scalar_first=True).as_matrix()
 
 
@@ -35,7 +35,7 @@ def test_pictured_attitudes(name):
     *axes_of_body, euler_deg = PICTURED[name]
     axes = np.array(axes_of_body).T
     ros = Rotation.from_matrix(axes).as_quat(scalar_first=True)
-    expected = ENU_OF_NED.T @ axes @ FLU_OF_FRD
+    expected = NED_FROM_ENU @ axes @ FLU_OF_FRD
     assert_allclose(
         matrix(ned_frd_of_enu_flu(ros[None])[0]),
         expected,
@@ -56,7 +56,7 @@ def test_random_attitudes_against_matrices():
         rng=np.random.default_rng(7),
     )
     q = ned_frd_of_enu_flu(random.as_quat(scalar_first=True))
-    expected = ENU_OF_NED.T @ random.as_matrix() @ FLU_OF_FRD
+    expected = NED_FROM_ENU @ random.as_matrix() @ FLU_OF_FRD
     assert_allclose(matrix(q), expected, atol=1e-12)
     assert (q[:, 0] >= 0.0).all()
 

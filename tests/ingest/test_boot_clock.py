@@ -34,7 +34,7 @@ class Vehicle:
         self.boot = np.concatenate(numbers)
         self.places = 10 * np.arange(self.boot_ns.size)
 
-    def readings(self, rows: object = ALL, late_s: float = 0.0, **more: object) -> UtcReadings:
+    def readings(self, rows=ALL, late_s=0.0, **more):
         """What a receiver with these rows says."""
         utc_ns = self.utc_ns[rows] + round(late_s * SECOND)
         good = np.ones(utc_ns.shape, np.bool_)
@@ -47,23 +47,23 @@ class Vehicle:
             **more,
         )
 
-    def fit(self, *readings: UtcReadings, **more: object) -> tuple[BootClock, Ledger]:
+    def fit(self, *readings, **more) -> tuple[BootClock, Ledger]:
         ledger = Ledger()
         line = timeline([(self.places, self.boot_ns)])
         return fit_clock(line, readings, ledger, **more), ledger
 
-    def largest_error_s(self, clock: BootClock) -> float:
+    def largest_error_s(self, clock):
         errors_ns = clock.utc(self.places, self.boot_ns) - self.utc_ns
         return np.abs(errors_ns).max() / SECOND
 
-    def is_split_right(self, clock: BootClock) -> bool:
+    def is_split_right(self, clock):
         return np.array_equal(
             clock.line.boot_of(self.places),
             self.boot,
         )
 
 
-def codes(ledger: Ledger, kind: str) -> list[str]:
+def codes(ledger, kind):
     return [entry.code for entry in ledger if entry.kind == kind]
 
 

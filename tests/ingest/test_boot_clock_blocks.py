@@ -11,7 +11,7 @@ SECOND = 10**9
 BLOCK = 65_536  # rows looked at at once
 
 
-def plainly(offset: np.ndarray) -> np.ndarray:
+def plainly(offset):
     """The median of `STRAY_ROWS` rows on either side, row by row; rows beyond the ends mirrored."""
     half = min(STRAY_ROWS, offset.size - 1)
     mirrored = np.pad(
@@ -26,7 +26,7 @@ def plainly(offset: np.ndarray) -> np.ndarray:
     return np.sort(windows, axis=1)[:, half]
 
 
-def offsets(count: int, borders: range) -> np.ndarray:
+def offsets(count, borders):
     """Offsets with jitter, a step in the middle that stays, and glitches over borders of blocks."""
     rng = np.random.default_rng(count)
     values = 1_700_000_000 * SECOND + rng.integers(-(10**6), 10**6, count)

@@ -55,7 +55,7 @@ def arena_in_files(arena, monkeypatch):
     return arena
 
 
-def held(arena) -> tuple[int, int]:
+def held(arena):
     """Private bytes and regions, once what is unused has gone."""
     gc.collect()
     return arena.private, len(arena.regions)
@@ -113,7 +113,7 @@ def test_without_space_on_the_disk_memory_is_private(arena, monkeypatch):
     assert column.sum() == 4.0 * NUMBERS_OF_A_MIB
 
 
-def exit_code(child: int) -> int:
+def exit_code(child):
     """Of a child process, which is ended where it hangs for 10 s."""
     until = time.monotonic() + 10.0
     while time.monotonic() < until:
@@ -126,7 +126,7 @@ def exit_code(child: int) -> int:
     raise AssertionError("the child process hung")
 
 
-def fork(is_right: Callable[[], bool]) -> int:
+def fork(is_right: Callable[[], bool]):
     """Starts a child process, which ends with 0 where it finds this to be true."""
     with warnings.catch_warnings():  # of forks beside threads, which is what is tried here
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -147,7 +147,7 @@ def test_a_child_process_writes_elsewhere(monkeypatch):
     before[:] = 1
     ready, go = os.pipe()
 
-    def write() -> bool:
+    def write():
         os.read(ready, 1)
         allocate(2 * SMALL, "u1")[:] = 7
         return True
@@ -175,7 +175,7 @@ def test_a_fork_while_another_thread_holds_the_lock(monkeypatch):
             locked.set()
             go.wait()
 
-    def use() -> bool:
+    def use():
         release_pages()
         column = allocate(2 * SMALL, "u1")
         column[:] = 3
@@ -199,7 +199,7 @@ def test_what_a_child_inherits_is_not_its_own(monkeypatch):
     before = memory._ARENA.private
     assert before >= 3 * MIB
 
-    def drop() -> bool:
+    def drop():
         counts = [memory._ARENA.private]
         new = allocate(MIB, "u1")
         inherited.clear()
@@ -222,7 +222,7 @@ def test_arrays_in_files_begin_at_multiples_of_64_bytes(arena_in_files, dtype):
     assert [array.ctypes.data % 64 for array in arrays] == [0] * len(sizes)
 
 
-def resident(array) -> int:
+def resident(array):
     """Resident bytes of the mapping that holds an array."""
     place = array.ctypes.data
     is_its_mapping = False

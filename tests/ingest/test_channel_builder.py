@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from unbend.flight.channels import Channel, Source
+from unbend.flight.channels import Source
 from unbend.ingest.channel_builder import DecodedRows, channel_of
 from unbend.ingest.field_maps import MessageMap, parse_columns
 from unbend.messages import Kind, Ledger
@@ -22,7 +22,7 @@ BARO = MessageMap(
 )
 
 
-def built(spec: MessageMap, time_s: list[float], **columns: list[float]) -> tuple[Channel, Ledger]:
+def built(spec, time_s, **columns):
     """The channel of the second instance of a message, and what is told of it."""
     time_ns = np.round(np.array(time_s) * 1e9).astype(np.int64)
     arrays = {name: np.array(values, np.float64) for name, values in columns.items()}

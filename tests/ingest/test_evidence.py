@@ -3,8 +3,6 @@
 Tables, which are the truth of real logs here, are compared with the libraries in ``test_equal``.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -12,7 +10,7 @@ from numpy.testing import assert_array_equal
 from tests.helpers import refused
 from tests.ingest.written_logs import DataFlashWriter, MavlinkWriter, opened
 from tests.logs import LOGS, at_hand
-from unbend.ingest import Log, open_log
+from unbend.ingest import open_log
 
 DATAFLASH_LOGS = at_hand(
     "flight.bin",
@@ -32,7 +30,7 @@ TELEMETRY_LOGS = at_hand(
 )
 
 
-def texts_of(log: Log, message: str) -> Iterator[str]:
+def texts_of(log, message):
     """The lines of all channels of texts of a message."""
     for channel in log.channels:
         if channel.source.message == message:

@@ -19,7 +19,6 @@ from tests.ingest.written_logs import (
     opened,
     ros_time,
 )
-from unbend.ingest import Log
 from unbend.ingest.field_maps import extract, message_maps
 
 START_NS = 1_700_000_000 * NS_PER_S
@@ -29,11 +28,11 @@ ANGLES = ("q_", "gimbal_", "camera_q_", "roll_", "pitch_", "yaw_")
 """How names of columns begin that are angles, or a part of a turn."""
 
 
-def name_of(known: dict) -> str:
+def name_of(known):
     return known["message"]
 
 
-def check_channel(log: Log, message: str, expected: dict[str, float]):
+def check_channel(log, message, expected: dict[str, float]):
     """The channel of a message has these values; without any there is none.
 
     One of a gimbal plays no role by itself.

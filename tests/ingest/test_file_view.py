@@ -10,7 +10,7 @@ from unbend.ingest.buffers import open_view, view_of_bytes
 
 
 @pytest.fixture(autouse=True)
-def narrow(monkeypatch: pytest.MonkeyPatch):
+def narrow(monkeypatch):
     monkeypatch.setattr(buffers, "SPAN", 64)
     monkeypatch.setattr(buffers, "BEHIND", 8)
 

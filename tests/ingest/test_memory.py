@@ -13,7 +13,7 @@ MIB = 1 << 20
 MEASURE = REPOSITORY / "benchmarks" / "log_memory.py"
 
 
-def measured(*words: object) -> str:
+def measured(*words):
     """What a step of the measurement prints, which is a process of its own."""
     command = [sys.executable, str(MEASURE), *map(str, words)]
     return subprocess.check_output(command, text=True)

@@ -4,7 +4,6 @@ import hashlib
 import json
 import os
 import random
-from pathlib import Path
 
 import pytest
 from numpy.testing import assert_array_equal
@@ -14,7 +13,6 @@ from tests import helpers
 from tests.ingest.written_logs import DataFlashWriter
 from tests.logs import LOGS, at_hand
 from unbend.cli.app import app
-from unbend.errors import UnbendError
 from unbend.ingest import open_log
 
 # Format, message totals and types: by a loop of recv_msg over the file (pymavlink 2.4.50,
@@ -74,7 +72,7 @@ def test_every_log_opens(name):
     assert json.loads(json.dumps(log.to_json_dict()))["format"] == form
 
 
-def refusal(path: Path, code: str) -> UnbendError:
+def refusal(path, code):
     """The refusal of a log, which names its file."""
     with helpers.refused(code) as caught:
         open_log(path)
@@ -137,7 +135,7 @@ def test_a_pipe_is_not_missing(tmp_path):
     [".mcap", ".bin", ".tlog"],
 )
 def test_what_is_no_log_is_refused_before_it_is_hashed(tmp_path, monkeypatch, extension):
-    hashed: list[Path] = []
+    hashed = []
     monkeypatch.setattr("unbend.ingest.registry.hash_file", hashed.append)
     path = tmp_path / f"flight{extension}"
     path.write_bytes(bytes(5000))

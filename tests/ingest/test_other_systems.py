@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -37,7 +36,7 @@ print(len(buffers._ARENA.regions) > 0, digest.hexdigest())
 """
 
 
-def read(code: str, log: Path, folder: Path) -> list[str]:
+def read(code, log, folder):
     """What a new process prints that reads a log, with its temporary files in a folder."""
     environment = dict(os.environ) | {"TMPDIR": str(folder)}
     done = subprocess.run(

@@ -7,7 +7,7 @@ from unbend.ingest.channel_builder import DecodedRows, captured_rows
 from unbend.messages import Ledger
 
 
-def shots(result: list[float], index: list[float]) -> DecodedRows:
+def shots(result, index):
     columns = {
         "result": np.array(result),
         "event_index": np.array(index),

@@ -19,9 +19,7 @@ FUSED_S = np.arange(0.0, 300.0, 0.1)
 FIXED_S = np.arange(5.03, 290.0, 0.2)
 
 
-def track(
-    name: str, stamp_s: np.ndarray, epoch_s: np.ndarray, system: int | None = None
-) -> Channel:
+def track(name, stamp_s, epoch_s, system=None):
     """Circles of 200 m at 25 m/s, in closed form: the places of epochs, stamped otherwise."""
     angle = epoch_s * 25.0 / 200.0
     north = 200.0 * np.sin(angle)
@@ -49,11 +47,11 @@ def track(
 FILTER = track("POS", FUSED_S, FUSED_S)
 
 
-def table(name: str, instance: str | None) -> dict[str, np.ndarray]:
+def table(name, instance) -> dict[str, np.ndarray]:
     return {"time_ns": SHOTS_NS}
 
 
-def flown(delay_s: float, utc_sigma_s: float = 0.0) -> Contents:
+def flown(delay_s, utc_sigma_s=0.0):
     """Positions of a filter, late fixes and two images."""
     shots = Channel(
         "CAM[0]",
@@ -75,7 +73,7 @@ def flown(delay_s: float, utc_sigma_s: float = 0.0) -> Contents:
     )
 
 
-def shifts_ns(before: Contents, after: Contents) -> dict[str, int]:
+def shifts_ns(before, after):
     """By how much the channels are later than before."""
     pairs = zip(
         before.channels,

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from tests.helpers import refused
-from unbend.flight.channels import Channel, Source
+from unbend.flight.channels import Source
 from unbend.ingest.channel_builder import DecodedRows, channel_of
 from unbend.ingest.dataflash.dataflash_channels import MESSAGES as DATAFLASH
 from unbend.ingest.field_maps import PX4_MESSAGES as PX4
@@ -16,7 +16,7 @@ from unbend.messages import Ledger
 MAPS = {"dataflash": DATAFLASH, "mavlink": MAVLINK, "px4": PX4}
 
 
-def logged(form, message: str, field: str, value: float) -> Channel:
+def logged(form, message, field, value):
     """A channel of one row, as the builder makes it of a field of a message."""
     field_map = MAPS[form][message]
     rows = DecodedRows(
@@ -29,7 +29,7 @@ def logged(form, message: str, field: str, value: float) -> Channel:
     return channel_of(rows, field_map, Ledger())
 
 
-def stated(channel: Channel, role: str, unit: str) -> float:
+def stated(channel, role, unit):
     """The value of a channel [SI] whose unit the mission file states."""
     column, *_ = STATED_UNITS[unit]
     return in_stated_unit(channel, role, unit)[column][0]

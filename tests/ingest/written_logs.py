@@ -3,33 +3,29 @@
 import io
 import json
 import struct
-from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from tests.helpers import with_code
-from unbend.ingest import Log, open_log
-from unbend.messages import Message
+from unbend.ingest import open_log
 
-Opener = Callable[[bytes], Log]
 NS_PER_S = 10**9
 
 
-def opened(path: Path, data: bytes) -> Log:
+def opened(path, data):
     """The log in a file with this content."""
     path.write_bytes(data)
     return open_log(path)
 
 
-def entry_in(log: Log, code: str) -> Message:
+def entry_in(log, code):
     """The only entry with this code in the ledger of a log."""
     entries = with_code(log.ledger, code)
     assert len(entries) == 1, f"{code} stands {len(entries)} times"
     return entries[0]
 
 
-def loss_codes(log: Log) -> set[str]:
+def loss_codes(log) -> set[str]:
     return {entry.code for entry in log.ledger if entry.kind == "loss"}
 
 
@@ -63,7 +59,7 @@ class DataFlashWriter:
         self.formats: dict[str, tuple[int, str]] = {}
         self.define(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)
 
-    def define(self, kind: int, name: str, letters: str, columns: str, length: int = 0):
+    def define(self, kind, name, letters, columns, length=0):
         if not length:
             layout = "".join(LETTERS[letter][0] for letter in letters)
             length = 3 + struct.calcsize("<" + layout)
@@ -71,7 +67,7 @@ class DataFlashWriter:
         self.data += b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, length, *texts)
         self.formats[name] = (kind, letters)
 
-    def row(self, name: str, *values: float | bytes):
+    def row(self, name, *values):
         kind, letters = self.formats[name]
         self.data += b"\xa3\x95" + bytes([kind])
         for letter, value in zip(letters, values, strict=True):
@@ -84,7 +80,7 @@ class DataFlashWriter:
         columns = "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt"
         self.define(20, "GPS", "QBBIHBcLLe", columns)
 
-    def fix(self, time_us: int, week_ms: int, *, week: int, instance: int = 0, status: int = 3):
+    def fix(self, time_us, week_ms, *, week, instance=0, status=3):
         """A fix at a place that does not change."""
         self.row(
             "GPS",
@@ -102,10 +98,10 @@ class DataFlashWriter:
 
 
 @cache
-def blank_fields(kind: type) -> dict[str, Any]:
+def blank_fields(kind):
     """The fields of a message of pymavlink, zero all of them."""
     lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
-    fields: dict[str, Any] = {}
+    fields = {}
     for name, field_type in zip(kind.fieldnames, kind.fieldtypes, strict=True):
         fields[name] = b"" if field_type == "char" else 0
         if lengths[name] and field_type != "char":
@@ -116,17 +112,15 @@ def blank_fields(kind: type) -> dict[str, Any]:
 class MavlinkWriter:
     """Packets of pymavlink's encoder, each behind the stamp of a ground station."""
 
-    def __init__(self, version: int = 2):
+    def __init__(self, version=2):
         from pymavlink.dialects.v20 import all as library
 
         self.library = library
         self.version = version
         self.senders: dict[tuple[int, int], Any] = {}
-        self.frames: list[bytes] = []
+        self.frames = []
 
-    def send(
-        self, name: str, received_us: int, /, source: tuple[int, int] = (1, 1), **fields: object
-    ):
+    def send(self, name, received_us, /, source: tuple[int, int] = (1, 1), **fields):
         """A message of a system and component; fields that are not given are zero."""
         kind = getattr(self.library, f"MAVLink_{name}_message")
         message = kind(**blank_fields(kind) | fields)
@@ -138,11 +132,11 @@ class MavlinkWriter:
         self.frames.append(struct.pack(">Q", received_us) + packet)
 
     @property
-    def data(self) -> bytes:
+    def data(self):
         return b"".join(self.frames)
 
 
-def restamped(frame: bytes, later_us: int) -> bytes:
+def restamped(frame, later_us):
     """A packet that the ground station received later, by its clock."""
     (received_us,) = struct.unpack(">Q", frame[:8])
     return struct.pack(">Q", received_us + later_us) + frame[8:]
@@ -179,7 +173,7 @@ DEFINITIONS = {
 }
 
 
-def with_parts(definition: str) -> str:
+def with_parts(definition):
     """A definition, and behind it those of the messages that it is made of."""
     text = definition
     for name, part in PARTS.items():
@@ -188,7 +182,7 @@ def with_parts(definition: str) -> str:
     return text
 
 
-def ros_time(time_ns: int) -> dict[str, int]:
+def ros_time(time_ns) -> dict[str, int]:
     sec, nanosec = divmod(time_ns, NS_PER_S)
     return {"sec": sec, "nanosec": nanosec}
 
@@ -203,20 +197,20 @@ class RosWriter:
         self.writer = Writer(self.file, **options)
         self.schemas: dict[str, Any] = {}
 
-    def define(self, kind: str, definition: str):
+    def define(self, kind, definition):
         package, name = kind.split("/")
         full_name = f"{package}/msg/{name}"
         self.schemas[kind] = self.writer.register_msgdef(full_name, with_parts(definition))
 
     def write(
         self,
-        topic: str,
-        kind: str,
-        time_ns: int,
-        recorded_ns: int | None = None,
+        topic,
+        kind,
+        time_ns,
+        recorded_ns=None,
         *,
-        frame_id: str = "base",
-        **fields: object,
+        frame_id="base",
+        **fields,
     ):
         """A message with this stamp in its header; fields that are not given are zero."""
         if kind not in self.schemas:
@@ -227,7 +221,7 @@ class RosWriter:
         self.writer.write_message(topic, self.schemas[kind], row, recorded_ns)
 
     @property
-    def data(self) -> bytes:
+    def data(self):
         self.writer.finish()
         return self.file.getvalue()
 
@@ -242,9 +236,7 @@ class McapWriter:
         self.writer = Writer(self.file, **options)
         self.writer.start(profile="", library="test")
 
-    def channel(
-        self, topic: str, encoding: str, schema: str = "", definition: str = "", form: str = ""
-    ) -> int:
+    def channel(self, topic, encoding, schema="", definition="", form=""):
         """The number of a new channel; ``form`` is that of its definition."""
         schema_form = form or {"cdr": "ros2msg", "json": "jsonschema"}.get(encoding, "")
         number = 0
@@ -252,15 +244,13 @@ class McapWriter:
             number = self.writer.register_schema(schema, schema_form, definition.encode())
         return self.writer.register_channel(topic, encoding, number)
 
-    def write(
-        self, channel: int, recorded_ns: int, content: bytes | dict[str, Any], sequence: int = 0
-    ):
+    def write(self, channel, recorded_ns, content: bytes | dict[str, Any], sequence=0):
         """A message of bytes, or of a dictionary in JSON."""
         data = content if isinstance(content, bytes) else json.dumps(content).encode()
         self.writer.add_message(channel, recorded_ns, data, recorded_ns, sequence)
 
     @property
-    def data(self) -> bytes:
+    def data(self):
         self.writer.finish()
         return self.file.getvalue()
 
@@ -273,13 +263,13 @@ class ULogWriter:
         self.message("B", bytes(40))
         self.ids: dict[tuple[str, int], int] = {}
 
-    def message(self, kind: str, payload: bytes):
+    def message(self, kind, payload):
         self.data += struct.pack("<HB", len(payload), ord(kind)) + payload
 
-    def define(self, name: str, fields: str):
+    def define(self, name, fields):
         self.message("F", f"{name}:uint64_t timestamp;{fields}".encode())
 
-    def subscribe(self, *names: str, instance: int = 0):
+    def subscribe(self, *names, instance=0):
         for name in names:
             number = len(self.ids)
             self.ids[name, instance] = number
@@ -288,7 +278,7 @@ class ULogWriter:
                 struct.pack("<BH", instance, number) + name.encode(),
             )
 
-    def row(self, name: str, layout: str, *values: float, instance: int = 0):
+    def row(self, name, layout, *values, instance=0):
         number = struct.pack("<H", self.ids[name, instance])
         self.message(
             "D",

@@ -1,9 +1,6 @@
 """A radiosonde as netCDF with ARM's names: its variables, which a test may change, and its file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from scipy.io import netcdf_file
@@ -26,7 +23,7 @@ VARIABLES = {
 }
 
 
-def write_arm(path: Path, variables: Mapping[str, np.ndarray] = VARIABLES) -> Path:
+def write_arm(path, variables: Mapping[str, np.ndarray] = VARIABLES):
     """The file of these variables, each of a number or of one for each level."""
     with netcdf_file(path, "w") as file:
         file.createDimension("time", HEIGHT.size)

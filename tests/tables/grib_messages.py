@@ -1,16 +1,7 @@
 """GRIB of messages that tests state by ecCodes' keys."""
 
-from __future__ import annotations
 
-from collections.abc import Iterable
-from pathlib import Path
-
-import numpy as np
-
-
-def write_grib(
-    path: Path, messages: Iterable[str], edition: int = 2, values: np.ndarray | None = None
-) -> None:
+def write_grib(path, messages, edition=2, values=None):
     """Messages on pressure levels from ecCodes' sample, each with these keys, as "level=850"."""
     import eccodes
 

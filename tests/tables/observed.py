@@ -1,29 +1,26 @@
 """Tables of observations that tests open."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from unbend.messages import Ledger
-from unbend.tables.observations import Observations, open_observations
+from unbend.tables.observations import open_observations
 
 COLUMNS = {"image": "image", "point": "point", "x_px": "x_px", "y_px": "y_px"}
 
 
 def opened(
-    content: str | bytes | pa.Table,
+    content,
     columns: dict[str, str | None] = COLUMNS,
     *,
-    ground: str | None = None,
-    csv: bool = False,
-    ledger: Ledger | None = None,
-    **options: Any,
-) -> Observations:
+    ground=None,
+    csv=False,
+    ledger=None,
+    **options,
+):
     """Text as a CSV; a table as one or as Parquet."""
     path = Path("o.csv")
     if isinstance(content, bytes):
@@ -40,9 +37,9 @@ def opened(
     )
 
 
-def columns_of(observations: Observations, rows: int = 1000) -> dict[str, list]:
+def columns_of(observations, rows=1000):
     """All that is read of a table, in batches of so many rows."""
-    columns: dict[str, list] = {}
+    columns = {}
     for batch in observations.batches(rows):
         parts = {"image": batch.image, "point": batch.point, **batch.users}
         numbers = {"x_px": batch.x_px, "y_px": batch.y_px, "ground": batch.ground}

@@ -1,7 +1,5 @@
 """Tables as people write them: CSV of all kinds, read without losing or guessing anything."""
 
-from __future__ import annotations
-
 import datetime as dt
 from pathlib import Path
 
@@ -17,13 +15,12 @@ from tests.tables.observed import COLUMNS, columns_of, opened
 from unbend.errors import InputError
 from unbend.messages import Ledger
 from unbend.tables.imports.user_tables import read_events
-from unbend.tables.observations import Observations
 
 HEAD = "image,point,x_px,y_px,h_g_m"
 LONGER_THAN_A_BLOCK = 5 << 20  # bytes; what is read of a CSV at a time is less
 
 
-def open_text(content, **options) -> Observations:
+def open_text(content, **options):
     return opened(content, ground="h_g_m", **options)
 
 
@@ -31,7 +28,7 @@ def read(content, **options) -> dict[str, list]:
     return columns_of(open_text(content, **options))
 
 
-def table_of(names: str, rows) -> str:
+def table_of(names, rows):
     """A CSV of observations with more columns."""
     return "\n".join([f"{HEAD},{names}", *rows, ""])
 
@@ -141,7 +138,7 @@ LATE = {
 
 
 @pytest.fixture(scope="module")
-def long_csv() -> str:
+def long_csv():
     """Longer than what is read at a time; the last row contradicts all others."""
     rows = [f"img,p{i},{i}.25,1,100,{i},{i},{i},{i},{i}, {i}," for i in range(LONG - 1)]
     rows.append("img,p,n/a,1,100,7.5,A-17,005,12345678901234567890,1.10,0x10,17")
@@ -324,7 +321,7 @@ GPS = {
 }
 
 
-def events(text: str, columns=UTC, encoding="utf-8"):
+def events(text, columns=UTC, encoding="utf-8"):
     path = Path("e.csv")
     path.write_text(text, encoding=encoding, newline="")
     ledger = Ledger()

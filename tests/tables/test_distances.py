@@ -1,7 +1,5 @@
 """Slant ranges beside the pixels: read, passed through, doubted; and marks of what was done."""
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 
@@ -14,7 +12,6 @@ from tests.helpers import refused
 from tests.tables.checks import refused_with
 from tests.tables.observed import COLUMNS, opened
 from unbend.messages import Ledger
-from unbend.tables.observations import Batch
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 
 RANGED = COLUMNS | {"distance_m": "range"}
@@ -22,7 +19,7 @@ PAIR = [1.5, 2.5]
 OPPOSITE = {"remove": "apply", "apply": "remove"}
 
 
-def table(**more) -> pa.Table:
+def table(**more):
     """A table of observations with more columns; two rows without any."""
     rows = 2
     for values in more.values():
@@ -37,14 +34,14 @@ def table(**more) -> pa.Table:
     return pa.table(columns | more)
 
 
-def read(content, columns=COLUMNS, **options) -> Batch:
+def read(content, columns=COLUMNS, **options):
     """All rows of a table, in one batch."""
     observations = opened(content, columns, **options)
     (batch,) = observations.batches(10)
     return batch
 
 
-def names_of(schema) -> list[str]:
+def names_of(schema):
     return [field.name for field in schema]
 
 
@@ -191,7 +188,7 @@ def test_a_distance_that_is_something_else_too(name):
 # What was done to a table before.
 
 
-def marked(mark: str, **more) -> pa.Table:
+def marked(mark, **more):
     return table(**more).replace_schema_metadata({"unbend.refraction": mark})
 
 

@@ -15,7 +15,7 @@ from numpy.testing import assert_array_equal
 
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
-from unbend.flight.stations import Stations, empty_stations
+from unbend.flight.stations import empty_stations
 from unbend.tables.writing import table_of_stations, write_parquet
 
 SKIPPED_OF_POINTS = {
@@ -36,7 +36,7 @@ SKIPPED_OF_POINTS = {
 def path(tmp_path):
     """Zurich with a height; Sydney with a height above sea level alone; one without a position."""
     names = np.array(["a,b.tif", "<c>.tif", "d.tif"], object)
-    stations: Stations = replace(
+    stations = replace(
         empty_stations(names, np.full(3, "nadir", object), "ok"),
         lat_rad=np.radians([47.4, -33.9, np.nan]),
         lon_rad=np.radians([8.5, 151.2, np.nan]),

@@ -1,9 +1,5 @@
 """Files of some kilobytes that state grids of gigabytes: refused before room is made for them."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pyproj  # noqa: F401  (before ecCodes)
 import pytest
@@ -24,7 +20,7 @@ LARGEST_FILE = 100_000  # bytes of each file here
 
 
 @pytest.mark.parametrize("edition", [1, 2])
-def test_a_field_of_equal_values_has_a_grid_within_the_limit(tmp_path: Path, edition: int):
+def test_a_field_of_equal_values_has_a_grid_within_the_limit(tmp_path, edition):
     """It has no more bytes for more points."""
     path = tmp_path / "model.grib"
     points = COLUMNS * ROWS
@@ -44,7 +40,7 @@ def test_grids_of_real_models_are_within_the_limit():
     assert columns * rows < MOST_GRID_POINTS
 
 
-def write_sparse_raster(path: Path, side: int, *, block: int, crs: str, step: float) -> None:
+def write_sparse_raster(path, side, *, block, crs, step):
     """A GeoTIFF of which no value is in the file."""
     transform = rasterio.Affine(step, 0.0, 5.0, 0.0, -step, 50.0)
     raster = rasterio.open(
@@ -66,7 +62,7 @@ def write_sparse_raster(path: Path, side: int, *, block: int, crs: str, step: fl
     raster.close()
 
 
-def test_a_geoid_has_values_in_proportion_to_its_file(tmp_path: Path):
+def test_a_geoid_has_values_in_proportion_to_its_file(tmp_path):
     path = tmp_path / "geoid.tif"
     write_sparse_raster(path, 100_000, block=4096, crs="EPSG:4326", step=1e-5)
     assert path.stat().st_size < LARGEST_FILE
@@ -75,7 +71,7 @@ def test_a_geoid_has_values_in_proportion_to_its_file(tmp_path: Path):
     assert "40,000,000,000 bytes" in str(caught.value)
 
 
-def test_an_elevation_model_has_blocks_in_proportion_to_its_file(tmp_path: Path):
+def test_an_elevation_model_has_blocks_in_proportion_to_its_file(tmp_path):
     path = tmp_path / "strip.tif"
     write_sparse_raster(path, 40_000, block=40_000, crs="EPSG:32632", step=1.0)
     assert path.stat().st_size < LARGEST_FILE
@@ -84,7 +80,7 @@ def test_an_elevation_model_has_blocks_in_proportion_to_its_file(tmp_path: Path)
     assert "6,400,000,000 bytes" in str(caught.value)
 
 
-def test_a_sparse_elevation_model_in_tiles_is_read(tmp_path: Path):
+def test_a_sparse_elevation_model_in_tiles_is_read(tmp_path):
     path = tmp_path / "tiles.tif"
     write_sparse_raster(path, 40_000, block=512, crs="EPSG:32632", step=1.0)
     model, _ = open_elevation([path], None, reference="msl", undulation=np.zeros_like)

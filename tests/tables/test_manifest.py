@@ -1,10 +1,7 @@
 """What is read of a manifest: records, and the refusal of what is none."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
-from typing import Any
 
 import pytest
 
@@ -17,7 +14,7 @@ from unbend.tables.manifest.whole import Manifest
 
 
 @pytest.fixture
-def values(baseline) -> dict[str, Any]:
+def values(baseline):
     """The manifest of a run, as its file has it."""
     return baseline.manifest()
 

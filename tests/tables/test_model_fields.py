@@ -1,7 +1,5 @@
 """Fields of a weather model read from netCDF and GRIB: the same air by all names, and refusals."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid
 from scipy.io import netcdf_file
 
-from tests.helpers import with_code
+from tests.helpers import ns, with_code
 from tests.model_files import PRESSURE_LEVELS, dataset, grib, netcdf, on_model_levels
 from tests.tables.checks import assert_within, refused_with
 from tests.tables.grib_messages import write_grib
@@ -33,10 +31,6 @@ PRESSURE = TRUE_AIR.pressure_pa(H)
 COLUMN = ("h_m", "temperature_k", "pressure_pa", "vapour_pressure_pa")
 
 
-def ns(when: str) -> int:
-    return int(np.datetime64(when, "ns").astype(np.int64))
-
-
 NOON = ns("2026-05-14T10:30")
 
 
@@ -54,7 +48,7 @@ def air(latitude, longitude, when):
 
 
 @pytest.fixture(scope="module")
-def fields() -> xarray.Dataset:
+def fields():
     return dataset(air, NORTH, EAST, TIMES)
 
 
@@ -75,11 +69,11 @@ def column(field, place=PLACE, time_ns=NOON, ground_h_m=450.0):
     )
 
 
-def as_netcdf(fields) -> Path:
+def as_netcdf(fields):
     return netcdf(Path("era5.nc").absolute(), fields)
 
 
-def as_grib(fields, lead_h=0) -> Path:
+def as_grib(fields, lead_h=0):
     return grib(Path("gfs.grib2").absolute(), fields, lead_h)
 
 
@@ -102,7 +96,7 @@ def test_a_bug_is_no_damaged_file(fields):
         assert 1 / (len(datasets) - 1)
 
 
-def on_levels(column) -> np.ndarray:
+def on_levels(column):
     """Levels of the file, without those that continue a column down to the ground."""
     steps = column.pressure_pa / 2500.0
     return np.isclose(steps, np.round(steps))

@@ -1,7 +1,5 @@
 """Hashes of names, against FNV-1a in plain Python and its published values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyarrow as pa
 
@@ -17,7 +15,7 @@ PUBLISHED = {
 }
 
 
-def fnv_1a(name: str) -> int:
+def fnv_1a(name):
     bits = OFFSET_BASIS
     for byte in name.encode():
         bits ^= byte
@@ -25,7 +23,7 @@ def fnv_1a(name: str) -> int:
     return bits
 
 
-def mixed(bits: int) -> int:
+def mixed(bits):
     bits ^= bits >> 32
     bits = bits * 0xD6E8FEB86659FD93 % 2**64
     return bits ^ bits >> 32

@@ -1,7 +1,5 @@
 """Times and places of tables that no survey can have: unknown, and said."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +26,7 @@ from unbend.tables.text_columns import utc_of_columns, utc_of_dates
         "12/03/2015 12:00:00",
     ],
 )
-def test_what_no_survey_can_have_is_no_time(text: str) -> None:
+def test_what_no_survey_can_have_is_no_time(text):
     _, good = utc_of_dates(pd.Series([text, "2015-03-12T12:00:00Z"]))
     assert good.tolist() == [False, True]
 
@@ -37,18 +35,18 @@ def test_what_no_survey_can_have_is_no_time(text: str) -> None:
     "text",
     ["1956-04-12T10:00:00Z", "2015/3/2 12:00:00", "20150312T120000", "2015-03-12T13:00+01:00"],
 )
-def test_dates_of_surveys_are_read(text: str) -> None:
+def test_dates_of_surveys_are_read(text):
     _, good = utc_of_dates(pd.Series([text]))
     assert good.all()
 
 
-def test_a_gps_week_modulo_1024_is_unknown() -> None:
+def test_a_gps_week_modulo_1024_is_unknown():
     table = pd.DataFrame({"week": ["2395", "347"], "seconds": ["1000", "1000"]})
     _, good = utc_of_columns(table, {"gps_week": "week", "gps_seconds": "seconds"})
     assert good.tolist() == [True, False]
 
 
-def test_a_row_at_zero_zero_is_no_place_and_one_without_a_height_is_kept() -> None:
+def test_a_row_at_zero_zero_is_no_place_and_one_without_a_height_is_kept():
     time_ns = (1_700_000_000 + np.arange(3)) * 10**9
     columns = {"lat_rad": np.array([0.0, 0.8, 0.8]), "lon_rad": np.array([0.0, 0.1, 0.1])}
     columns["h_msl_m"] = np.array([0.0, 900.0, np.nan])
@@ -59,12 +57,12 @@ def test_a_row_at_zero_zero_is_no_place_and_one_without_a_height_is_kept() -> No
     assert [(entry.code, entry.count) for entry in ledger] == [("IMPORT-ROWS", 1)]
 
 
-def test_a_mission_date_in_the_future_is_refused() -> None:
+def test_a_mission_date_in_the_future_is_refused():
     with pytest.raises(SectionError, match="future"):
         checked_date("2126-05-14")
     assert checked_date("2026-05-14") == "2026-05-14"
 
 
-def test_a_column_is_stated_by_its_first_field_that_is_not_empty() -> None:
+def test_a_column_is_stated_by_its_first_field_that_is_not_empty():
     assert first_stated(["", "nan", "46.35"]) == "46.35"
     assert first_stated(["", "-9999"]) == ""

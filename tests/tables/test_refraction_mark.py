@@ -1,12 +1,9 @@
 """What has lost its refraction is not corrected again: sidecars, marks in databases, columns."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sqlite3
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 
@@ -17,7 +14,7 @@ TEXT = "image,point,x_px,y_px\na,p,1,2\n"
 
 
 @pytest.fixture
-def exported(tmp_path: Path) -> Path:
+def exported(tmp_path):
     """A folder with tracks.csv, its sidecar, and cameras.json that the sidecar does not name."""
     (tmp_path / "tracks.csv").write_text(TEXT)
     (tmp_path / "cameras.json").write_text("{}")

@@ -1,7 +1,5 @@
 """A radiosonde from a netCDF file with ARM's names, made here."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 
@@ -48,7 +46,7 @@ def test_a_missing_variable_is_refused():
         read_sounding(path, Ledger())
 
 
-def zipped(name: str, *members: Path) -> Path:
+def zipped(name, *members):
     path = Path(name)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for member in members:

@@ -1,7 +1,5 @@
 """Text tables that are read whole: angles of places, and comments between rows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -13,7 +11,7 @@ from unbend.tables.text_columns import degrees_of, whole_table
 TABLE = Path("t.csv")
 
 
-def latitudes(text: str):
+def latitudes(text):
     TABLE.write_text(text, encoding="utf-8")
     table = whole_table(TABLE, ORIENTATION_NUMBER, ("image",))
     return degrees_of(table, "lat", TABLE, ORIENTATION_NUMBER, quantity="latitude")

@@ -1,7 +1,5 @@
 """Points that several images show, drawn from tables of observations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -9,17 +7,17 @@ from numpy.testing import assert_array_equal
 
 from tests.tables.observed import opened
 from unbend.tables.pixels import PixelSystem
-from unbend.tables.tie_points import TiePoints, draw_tie_points
+from unbend.tables.tie_points import draw_tie_points
 
 HEAD = "image,point,x_px,y_px\n"
 
 
-def drawn(content, most: int = 50, **options) -> TiePoints:
+def drawn(content, most=50, **options):
     observations = opened(content, **options)
     return draw_tie_points(observations, most)
 
 
-def strip(images: int, points: int) -> pa.Table:
+def strip(images, points):
     """A strip of images, each point in three that follow each other."""
     point = np.repeat(np.arange(points), 3)
     first_image = point % (images - 2)

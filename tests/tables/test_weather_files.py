@@ -1,7 +1,5 @@
 """What a file of a weather model holds, by files that the tests make and by real ones."""
 
-from __future__ import annotations
-
 import json
 import struct
 import subprocess
@@ -25,7 +23,7 @@ SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
 TIMES = np.array(["2026-05-14T10", "2026-05-14T11"], "datetime64[ns]")
 
 
-def write(path: Path, dimensions: dict[str, int], coordinates: dict) -> Path:
+def write(path, dimensions: dict[str, int], coordinates):
     """netCDF-4 with a temperature of these dimensions."""
     t = (tuple(dimensions), np.full(tuple(dimensions.values()), 280.0), {"units": "K"})
     xarray.Dataset({"t": t}, coordinates).to_netcdf(path, engine="h5netcdf")
@@ -33,7 +31,7 @@ def write(path: Path, dimensions: dict[str, int], coordinates: dict) -> Path:
 
 
 @pytest.fixture
-def era5(tmp_path: Path) -> Path:
+def era5(tmp_path):
     """With the names of the climate data store since 2024."""
     coordinates = {
         "valid_time": TIMES,
@@ -47,7 +45,7 @@ def era5(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def gfs(tmp_path: Path) -> Path:
+def gfs(tmp_path):
     """GRIB2, temperature at two levels, from ecCodes' sample."""
     path = tmp_path / "gfs.grib2"
     write_grib(path, [f"level={level},dataDate=20260514" for level in (850, 500)])

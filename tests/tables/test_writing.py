@@ -1,7 +1,5 @@
 """Tables that are written, cell by cell, and round trips through them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -143,7 +141,7 @@ def test_sigmas_of_the_profile_each_in_its_column():
     assert sigma / refractivity == pytest.approx(expected, rel=0.05)
 
 
-def write_row_groups(folder) -> None:
+def write_row_groups(folder):
     """Row groups of 4, some of them empty."""
     numbers = range(31)
     columns = {
@@ -165,7 +163,7 @@ def write_row_groups(folder) -> None:
             writer.write_table(table[:0])
 
 
-def write_block(folder) -> None:
+def write_block(folder):
     """COLMAP's: three images with nine points."""
     model = folder / "block"
     model.mkdir()

@@ -80,7 +80,7 @@ def test_the_level_of_pressures_is_judged_at_sea_level(sigmas, kind):
     )
 
 
-def usage(used, standard, **refused: str):
+def usage(used, standard, **refused):
     """Why each source is not used, "" for those that are, with two soundings of which one is."""
     flown = UsedSamples(GIVEN, GIVEN, tried=(GIVEN,), used=used, refused=refused)
     soundings = (SimpleNamespace(name="sounding A"), SimpleNamespace(name="sounding B"))

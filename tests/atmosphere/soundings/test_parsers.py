@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.io import netcdf_file
 
 from tests.atmosphere.flights import DATA, SHARED_SOUNDINGS
-from tests.atmosphere.values import HYDROSTATIC_K_PER_M, metres, ns, saturated
-from tests.helpers import refused, with_code
+from tests.atmosphere.values import HYDROSTATIC_K_PER_M, metres, saturated
+from tests.helpers import ns, refused, with_code
 from unbend.atmosphere.soundings import FORMATS, parse_sounding
 from unbend.errors import InputError
 from unbend.messages import Kind, Ledger

@@ -3,7 +3,6 @@
 import numpy as np
 
 from tests.ingest.written_logs import DataFlashWriter
-from unbend.ingest import Log
 
 ROWS = 400
 BARO = 23
@@ -24,7 +23,7 @@ FORMS = {
 }
 
 
-def flight(message: str = "", field: str = "", letter: str = "") -> DataFlashWriter:
+def flight(message="", field="", letter=""):
     """The log, in which a field of a message may have another letter: an array or a text."""
     writer = DataFlashWriter()
     changed = FORMS[message][1].split(",").index(field) if message else -1
@@ -40,7 +39,7 @@ def flight(message: str = "", field: str = "", letter: str = "") -> DataFlashWri
     for k in range(ROWS):
         time_us = 1_000_000 + k * 100_000
         height_m = 600.0 + 0.5 * k
-        rows: dict[str, list[float | bytes]] = {
+        rows = {
             "GPS": [time_us, 0, 3, 1000 + 100 * k, 2300, 47.0, 8.0, height_m],
             "BARO": [time_us, 0, 95_000.0 - k, 20.0],
             "HYGR": [time_us, 0, 55.0, 9.0],
@@ -53,6 +52,6 @@ def flight(message: str = "", field: str = "", letter: str = "") -> DataFlashWri
     return writer
 
 
-def losses(log: Log) -> list[tuple[str, str, int]]:
+def losses(log):
     """Code, place and count of each loss."""
     return [(entry.code, entry.where, entry.count) for entry in log.ledger if entry.kind == "loss"]

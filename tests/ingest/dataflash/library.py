@@ -2,20 +2,18 @@
 
 import contextlib
 from collections import defaultdict
-from collections.abc import Iterator
-from typing import Any
 
 
-def library_messages(reader) -> Iterator[Any]:
+def library_messages(reader):
     """All messages of a DFReader, which is closed behind the last one."""
     with contextlib.closing(reader):
         while (message := reader.recv_msg()) is not None:
             yield message
 
 
-def library_tables(reader) -> dict[str, dict[str, list[Any]]]:
+def library_tables(reader):
     """All cells, by the name of the message and by the field."""
-    tables: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
+    tables = defaultdict(lambda: defaultdict(list))
     for message in library_messages(reader):
         columns = tables[message.get_type()]
         for field in message.get_fieldnames():

@@ -17,13 +17,13 @@ SAMPLE = LOGS["flight.bin"]
 
 
 @pytest.fixture
-def writer() -> DataFlashWriter:
+def writer():
     made = DataFlashWriter()
     made.define_receiver()
     return made
 
 
-def fixes(writer: DataFlashWriter, week: int, from_us: int = 5_000_000):
+def fixes(writer, week, from_us=5_000_000):
     for k in range(20):
         writer.fix(
             from_us + k * 200_000,

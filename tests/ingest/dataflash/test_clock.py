@@ -7,20 +7,19 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.helpers import with_code
 from tests.ingest.written_logs import DataFlashWriter, loss_codes
 from unbend.flight.clock import utc_of_gps
-from unbend.ingest import Log
 
 WEEK = 2324
 
 
 @pytest.fixture
-def writer() -> DataFlashWriter:
+def writer():
     made = DataFlashWriter()
     made.define_receiver()
     made.define(50, "ATT", "QccC", "TimeUS,Roll,Pitch,Yaw")
     return made
 
 
-def seconds(log: Log, name: str = "ATT") -> np.ndarray:
+def seconds(log, name="ATT"):
     """The times of a channel from the beginning of the week on."""
     return (log.channel(name).time_ns - utc_of_gps(WEEK, 0.0)) / 1e9
 

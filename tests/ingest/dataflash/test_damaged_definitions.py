@@ -7,14 +7,13 @@ import yaml
 from tests.ingest.dataflash.air_flight import BARO, ROWS, flight, losses
 from tests.ingest.dataflash.walk import walk
 from tests.ingest.written_logs import entry_in
-from unbend.ingest import Log
 from unbend.ingest.buffers import FileView
 
 WEEK_NS = 604_800 * 10**9
 AFTER_US = 1_000_000 + ROWS * 100_000  # behind the last row
 
 
-def names_of(log: Log, message: str) -> list[str]:
+def names_of(log, message):
     return [channel.name for channel in log.channels if channel.source.message == message]
 
 
@@ -211,7 +210,7 @@ def test_all_records_of_a_type_in_doubt_cost_what_lies_between_them(monkeypatch)
     lengths_read = []
     array = FileView.array
 
-    def counted(self: FileView, begin: int, end: int):
+    def counted(self, begin, end):
         lengths_read.append(end - begin)
         return array(self, begin, end)
 

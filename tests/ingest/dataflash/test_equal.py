@@ -1,7 +1,5 @@
 """Every cell of every message of every DataFlash log here, against pymavlink reading in order."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -13,7 +11,7 @@ from unbend.ingest.dataflash.binary_log import read_tables
 from unbend.ingest.message_tables import PLACE
 
 
-def assert_same(ours: np.ndarray, theirs: list[Any], name: str):
+def assert_same(ours, theirs, name):
     """The cells of a column are the same texts or numbers, of the same sign where they are 0."""
     if ours.dtype.kind == "U":
         assert ours.tolist() == theirs, name

@@ -27,7 +27,7 @@ def test_utc_agrees_with_the_gps_rows(name):
     assert np.percentile(np.abs(late_s), 95) < 0.04  # LOGS.md: 20-39 ms from p5 to p95
 
 
-def flight(rows: int = 40) -> DataFlashWriter:
+def flight(rows=40):
     """Two receivers with ellipsoidal heights, attitude, a barometer and a camera."""
     writer = DataFlashWriter()
     writer.define(20, "GPS", "QBBIHLLe", "TimeUS,I,Status,GMS,GWk,Lat,Lng,Alt")
@@ -67,7 +67,7 @@ def flight(rows: int = 40) -> DataFlashWriter:
     return writer
 
 
-def barometer() -> DataFlashWriter:
+def barometer():
     writer = DataFlashWriter()
     writer.define(23, "BARO", "QBfc", "TimeUS,I,Press,Temp")
     return writer

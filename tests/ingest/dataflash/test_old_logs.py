@@ -6,7 +6,6 @@ from numpy.testing import assert_array_equal
 
 from tests.ingest import written_logs
 from tests.ingest.written_logs import DataFlashWriter, entry_in
-from unbend.ingest import Log
 
 DEFINITIONS = {
     "GPS": ("BIHBcLLeeECfI", "Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T"),
@@ -17,7 +16,7 @@ DEFINITIONS = {
 }
 
 
-def rows() -> list[str]:
+def rows():
     """A parameter, then fixes at 5 Hz, attitudes 50 ms later, two images and a text.
 
     The first image has the time of the last fix, as autopilots write it; the second has no week.
@@ -36,13 +35,13 @@ def rows() -> list[str]:
     return lines
 
 
-def binary() -> bytes:
+def binary():
     writer = DataFlashWriter()
     for kind, (name, definition) in enumerate(DEFINITIONS.items(), 20):
         writer.define(kind, name, *definition)
     for line in rows():
         name, *cells = line.split(", ")
-        values: list[float | bytes] = []
+        values = []
         for letter, cell in zip(DEFINITIONS[name][0], cells, strict=True):
             if letter == "N":
                 values.append(cell.encode())
@@ -52,7 +51,7 @@ def binary() -> bytes:
     return writer.data
 
 
-def text() -> bytes:
+def text():
     """As Mission Planner writes it."""
     lines = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format"]
     for kind, (name, (letters, columns)) in enumerate(DEFINITIONS.items(), 20):
@@ -65,12 +64,12 @@ def text() -> bytes:
     params=[("old.bin", binary()), ("old.log", text())],
     ids=["binary", "text"],
 )
-def log(request, tmp_path_factory) -> Log:
+def log(request, tmp_path_factory):
     name, content = request.param
     return written_logs.opened(tmp_path_factory.mktemp("old") / name, content)
 
 
-def after_first_fix_ms(log: Log, name: str) -> list[float]:
+def after_first_fix_ms(log, name):
     first_ns = log.channel("GPS").time_ns[0]
     after_ns = log.channel(name).time_ns - first_ns
     return (after_ns / 1e6).tolist()

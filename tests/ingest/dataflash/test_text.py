@@ -1,8 +1,5 @@
 """ArduPilot logs as text: against pymavlink's reader of text, and against the binary log."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -13,10 +10,10 @@ from tests.ingest import written_logs
 from tests.ingest.dataflash.library import library_messages, library_tables
 from tests.ingest.written_logs import entry_in
 from tests.logs import LOGS, at_hand
-from unbend.ingest import Log, open_log
+from unbend.ingest import open_log
 
 
-def as_text(binary: Path, text: Path):
+def as_text(binary, text):
     """What a ground station writes: one message a line, scaled fields in their unit."""
     lines = []
     for message in library_messages(DFReader_binary(str(binary))):
@@ -26,12 +23,12 @@ def as_text(binary: Path, text: Path):
 
 
 @pytest.fixture(scope="module", params=at_hand("gps0_lost.bin", "beastayyg_sample.bin"))
-def binary(request: pytest.FixtureRequest) -> Path:
+def binary(request):
     return LOGS[request.param]
 
 
 @pytest.fixture(scope="module")
-def text(binary: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def text(binary, tmp_path_factory):
     path = tmp_path_factory.mktemp("text") / "flight.log"
     as_text(binary, path)
     return path
@@ -86,10 +83,10 @@ DROPS = "FMT, 61, 15, DSF, QI, TimeUS,Dp\n"
 
 
 @pytest.fixture
-def opened(tmp_path: Path) -> Callable[[str], Log]:
+def opened(tmp_path):
     """Opens text behind the definitions of `HEAD`."""
 
-    def write_and_open(body: str) -> Log:
+    def write_and_open(body):
         return written_logs.opened(
             tmp_path / "flight.log",
             (HEAD + body).encode("latin-1"),
@@ -98,7 +95,7 @@ def opened(tmp_path: Path) -> Callable[[str], Log]:
     return write_and_open
 
 
-def barometer(second: int, dropped: int) -> str:
+def barometer(second, dropped):
     """A row of a barometer and the logger's count at a second since boot."""
     time_us = second * 1_000_000
     return f"BARO, {time_us}, 0, 95000.0, 20.0\nDSF, {time_us}, {dropped}\n"

@@ -20,7 +20,7 @@ class Walk:
     cut_bytes: int
     blocks: int
 
-    def places_of(self, name: str) -> list[int]:
+    def places_of(self, name):
         return self.places[self.names == name].tolist()
 
     @property
@@ -28,7 +28,7 @@ class Walk:
         return set(zip(self.places.tolist(), self.names.tolist(), strict=True))
 
 
-def walk(data: bytes) -> Walk:
+def walk(data):
     walker = find_records(view_of_bytes(data))
     names = np.array([definition.name for definition in walker.definitions])
     blocks = walker.wanted

@@ -9,7 +9,7 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
 
-def message_class(full_name: str, fields: Mapping[str, str]):
+def message_class(full_name, fields: Mapping[str, str]):
     """A message with fields of these types, numbered from 1; "DOUBLE*" is a sequence of them.
 
     A "Timestamp" is google.protobuf.Timestamp.

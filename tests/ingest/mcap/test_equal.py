@@ -4,7 +4,6 @@ import random
 import struct
 import sys
 from collections import defaultdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,7 @@ int8 K=2
 """
 
 
-def library_messages(path: Path) -> dict[str, list[Any]]:
+def library_messages(path) -> dict[str, list[Any]]:
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -64,7 +63,7 @@ def library_messages(path: Path) -> dict[str, list[Any]]:
     return messages
 
 
-def follow(message, path: str):
+def follow(message, path):
     for part in path.split("."):
         if hasattr(message, "__getitem__") and part.isdigit():
             message = message[int(part)]
@@ -73,7 +72,7 @@ def follow(message, path: str):
     return list(message) if isinstance(message, bytes) else message
 
 
-def compare(table: dict[str, np.ndarray], messages: list[Any]) -> int:
+def compare(table: dict[str, np.ndarray], messages):
     """Compare the columns of a table with messages of the library; how many cells that is."""
     cells = 0
     for name in table.keys() - {"time_ns", "boot", "log_time_ns"}:
@@ -103,11 +102,11 @@ def test_every_cell_is_the_librarys(path, record_property):
     record_property("cells compared", cells)
 
 
-def text(draw: random.Random) -> str:
+def text(draw):
     return "".join(draw.choice("abcdeé") for _ in range(draw.randrange(6)))
 
 
-def varying_message(draw: random.Random) -> dict[str, Any]:
+def varying_message(draw):
     return {
         "s": text(draw),
         "a": draw.random(),

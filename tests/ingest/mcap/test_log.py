@@ -19,14 +19,13 @@ from tests.ingest.written_logs import (
     DEFINITIONS,
     HEADER,
     McapWriter,
-    Opener,
     RosWriter,
     entry_in,
     loss_codes,
     with_parts,
 )
 from tests.logs import LOGS, at_hand
-from unbend.ingest import Log, open_log
+from unbend.ingest import open_log
 from unbend.ingest.mcap.chunks import MAX_CHUNK, Chunk, inflate
 from unbend.ingest.mcap.topics import MAX_NAMES
 
@@ -40,7 +39,7 @@ TEMPERATURE = "sensor_msgs/Temperature"
 HUMIDITY = "sensor_msgs/RelativeHumidity"
 
 
-def flight(rows: int = 60, **options) -> RosWriter:
+def flight(rows=60, **options):
     """A receiver, an attitude and air at 10 Hz, an image each second; recorded 7 ms late."""
     bag = RosWriter(chunk_size=4096, **options)
     for k in range(rows):
@@ -159,7 +158,7 @@ def test_the_checksum_of_a_chunk_over_16_mib_is_compared(opened, place):
 
 
 @cache
-def packed_zeros(compression: str, size: int) -> bytes:
+def packed_zeros(compression, size):
     import lz4.frame
     import zstandard
 
@@ -192,7 +191,7 @@ def test_bytes_behind_an_lz4_frame_cost_nothing(behind):
     assert inflate(packed, chunk, where="a.mcap, byte 0", count=1000) == bytes(1000)
 
 
-def chunk_record(compression: str, promised: int, packed: bytes) -> bytes:
+def chunk_record(compression, promised, packed):
     """A chunk that promises to inflate to a size."""
     name = compression.encode()
     content = struct.pack("<QQQII", 0, 0, promised, 0, len(name)) + name
@@ -200,7 +199,7 @@ def chunk_record(compression: str, promised: int, packed: bytes) -> bytes:
     return struct.pack("<BQ", 6, len(content)) + content
 
 
-def spliced(data: bytes, record: bytes) -> bytes:
+def spliced(data, record):
     """A file with one more record behind its header record."""
     header_end = 8 + 9 + struct.unpack_from("<Q", data, 9)[0]
     return data[:header_end] + record + data[header_end:]
@@ -262,7 +261,7 @@ def test_a_window_of_128_mib_is_not_looked_back_over(opened, size):
     assert len(log.channel("/imu")) == 60
 
 
-def place(time_ns: int) -> dict[str, float]:
+def place(time_ns):
     """A foxglove.LocationFix."""
     return {"timestamp": time_ns, "latitude": 47.5, "longitude": 8.25}
 
@@ -299,7 +298,7 @@ def test_log_time_0_takes_nothing_from_messages_with_a_stamp(opened):
     assert fallbacks == {"TIME-LOG-TIME": "/bare", "TIME-NO-UTC": "/bare"}
 
 
-def mavros_log(opened: Opener, kind: str, definition: str, rows: list[dict[str, Any]]) -> Log:
+def mavros_log(opened, kind, definition, rows: list[dict[str, Any]]):
     bag = RosWriter()
     bag.define(f"mavros_msgs/{kind}", HEADER + definition)
     for k, row in enumerate(rows):
@@ -434,13 +433,13 @@ def test_without_a_header_stamp_the_recorders_time_is_a_stated_fallback(opened):
     assert entry_in(log, "TIME-LOG-TIME").kind == "fallback"
 
 
-def fifteen_degrees() -> bytes:
+def fifteen_degrees():
     """A Temperature in CDR: little-endian, sec, nanosec, frame_id "" and padding, two float64."""
     header = struct.pack("<iII", 1_763_073_169, 5, 1) + b"\0" + bytes(3)
     return CDR + header + struct.pack("<dd", 15.0, 0.0)
 
 
-def temperatures(writer: McapWriter) -> int:
+def temperatures(writer):
     definition = with_parts(DEFINITIONS[TEMPERATURE])
     return writer.channel("/air", "cdr", "sensor_msgs/msg/Temperature", definition)
 

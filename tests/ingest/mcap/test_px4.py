@@ -6,7 +6,6 @@ from numpy.testing import assert_array_equal
 
 from tests.helpers import with_code
 from tests.ingest.written_logs import RosWriter, entry_in, loss_codes
-from unbend.ingest import Log
 
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
@@ -26,21 +25,19 @@ PLACE = {"latitude_deg": 47.5, "longitude_deg": 8.25, "altitude_msl_m": 600.0}
 class Recording(RosWriter):
     """Topics of PX4, recorded 3 ms late or, by a recorder without a clock, at 0."""
 
-    def __init__(self, *, has_clock: bool = True):
+    def __init__(self, *, has_clock=True):
         super().__init__()
         self.has_clock = has_clock
         for kind, definition in KINDS.items():
             self.define(f"px4_msgs/{kind}", definition)
 
-    def send(self, kind: str, boot_ns: int, utc_ns: int, **fields: object):
+    def send(self, kind, boot_ns, utc_ns, **fields):
         recorded_ns = utc_ns + 3_000_000 if self.has_clock else 0
         topic = f"/fmu/out/{kind}"
         timestamp = boot_ns // 1000
         self.write(topic, f"px4_msgs/{kind}", utc_ns, recorded_ns, timestamp=timestamp, **fields)
 
-    def fix(
-        self, boot_ns: int, utc_ns: int, *, stated_utc_ns: int | None = None, fix_type: int = 3
-    ):
+    def fix(self, boot_ns, utc_ns, *, stated_utc_ns=None, fix_type=3):
         """A fix, which may state another UTC than that at which it is sent."""
         if stated_utc_ns is None:
             stated_utc_ns = utc_ns
@@ -53,7 +50,7 @@ class Recording(RosWriter):
             **PLACE,
         )
 
-    def attitude(self, boot_ns: int, utc_ns: int):
+    def attitude(self, boot_ns, utc_ns):
         self.send(
             "VehicleAttitude",
             boot_ns,
@@ -61,7 +58,7 @@ class Recording(RosWriter):
             q=[1.0, 0.0, 0.0, 0.0],
         )
 
-    def shot(self, boot_ns: int, utc_ns: int, number: int, **fields: object):
+    def shot(self, boot_ns, utc_ns, number, **fields):
         self.send(
             "CameraCapture",
             boot_ns,
@@ -69,7 +66,7 @@ class Recording(RosWriter):
             **{"seq": number, "result": 1} | fields,
         )
 
-    def flight(self, *, rows: int = 200, boot_s: int = 60, utc_s: int = 0, fix_type: int = 3):
+    def flight(self, *, rows=200, boot_s=60, utc_s=0, fix_type=3):
         """A receiver and an attitude at 5 Hz, from a time since boot and a time of the test on."""
         for k in range(rows):
             boot_ns = boot_s * SECOND + k * STEP
@@ -78,7 +75,7 @@ class Recording(RosWriter):
             self.attitude(boot_ns, utc_ns)
 
 
-def seconds(log: Log, kind: str = "VehicleAttitude") -> np.ndarray:
+def seconds(log, kind="VehicleAttitude"):
     return (log.channel(f"/fmu/out/{kind}").time_ns - START) / SECOND
 
 
@@ -151,7 +148,7 @@ def test_utc_without_a_fix_counts_for_nothing(opened):
     assert not loss_codes(log)
 
 
-def take_shots(recording: Recording, utc_ahead_ns: int):
+def take_shots(recording, utc_ahead_ns):
     """Exposures behind the flight in the file, as from a recorder that groups topics."""
     for k in range(250):  # more than the receiver has rows
         boot_ns = 70 * SECOND + k * SECOND // 10

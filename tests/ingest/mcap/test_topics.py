@@ -10,8 +10,8 @@ from numpy.testing import assert_array_equal
 
 from tests.helpers import with_code
 from tests.ingest.mcap.protobuf_messages import message_class
-from tests.ingest.written_logs import HEADER, McapWriter, Opener, entry_in, ros_time, with_parts
-from unbend.ingest import Log, open_log
+from tests.ingest.written_logs import HEADER, McapWriter, entry_in, ros_time, with_parts
+from unbend.ingest import open_log
 from unbend.ingest.mcap.cdr import decode_plan
 from unbend.ingest.mcap.message_batches import BATCH_BYTES
 from unbend.ingest.mcap.ros2_definitions import KINDS, steps_of
@@ -27,10 +27,8 @@ PRESSURE = with_parts(HEADER + "float64 fluid_pressure\nfloat64 variance")
 SWAPPED = with_parts(HEADER + "float64 variance\nfloat64 fluid_pressure")
 TEMPERATURE = with_parts(HEADER + "float64 temperature\nfloat64 variance")
 
-Message = tuple[int, int, bytes]  # channel, log_time, data
 
-
-def cdr(time_ns: int, *values: float, head: bytes = CDR, align: int = 8) -> bytes:
+def cdr(time_ns, *values, head=CDR, align=8):
     """A header and float64, in CDR (in XCDR2 aligned to 4)."""
     body = struct.pack("<iII", *divmod(time_ns, SECOND), 5) + b"base\0"
     padding = bytes(-len(body) % align)
@@ -42,25 +40,28 @@ PRESSURES = ("/p", "cdr", AIR, PRESSURE)
 TEMPERATURES = ("/t", "cdr", WARM, TEMPERATURE)
 
 
-def check_entry(log: Log, code: str, **expected: object):
+def check_entry(log, code, **expected):
     """The only entry with this code has these values."""
     entry = entry_in(log, code)
     for name, value in expected.items():
         assert getattr(entry, name) == value, name
 
 
-def warm(time_ns: int) -> Message:
+def warm(time_ns):
     """A temperature of the first channel."""
     return (1, time_ns, cdr(time_ns, 15.0, 0.0))
 
 
 def written(
-    opened: Opener,
-    channels: list[tuple[str, str, str, str]],
-    messages: list[Message],
-    sequence: list[int] | None = None,
-) -> Log:
-    """A log of channels (topic, encoding, name of schema, definition), numbered from 1."""
+    opened,
+    channels,
+    messages,
+    sequence=None,
+):
+    """A log of channels (topic, encoding, name of schema, definition), numbered from 1.
+
+    Messages are channel, log_time and data.
+    """
     writer = McapWriter(chunk_size=2000)
     for channel in channels:
         writer.channel(*channel)
@@ -148,10 +149,10 @@ def test_schemas_of_a_topic_are_channels_apart_and_one_table(opened):
     )
 
 
-def readings(opened: Opener, values: list[str], pad: str = "") -> Log:
+def readings(opened, values, pad=""):
     """A thermometer in CDR, and JSON of nobody's schema."""
     channels = [TEMPERATURES, ("/cabin", "json", "", "")]
-    messages: list[Message] = []
+    messages = []
     for t, value in zip(TIMES[: len(values)], values, strict=True):
         row = f'{{"timestamp":{t},"pad":"{pad}","value":{value}}}'
         messages.append(warm(t))
@@ -195,7 +196,7 @@ def test_fields_with_names_of_ours_are_fields(opened):
         TEMPERATURES,
         ("/x", "cdr", "my/msg/Foo", "int64 stamp_ns\nint8 place"),
     ]
-    messages: list[Message] = []
+    messages = []
     for k, t in enumerate(TIMES[:5]):
         messages.append(warm(t))
         messages.append((2, t, CDR + struct.pack("<qb", 7, 5 - k)))
@@ -307,7 +308,7 @@ def test_a_sequence_that_is_cut_off_has_no_length(opened):
     assert table["k"].tolist() == [9, 9]
 
 
-def numbered(opened: Opener, numbers: list[int], times: list[int]) -> Log:
+def numbered(opened, numbers, times):
     """Pressures with these sequence numbers, from 90,000 Pa on as they are numbered."""
     messages = [(1, t, cdr(t, 9e4 + k, 0.0)) for k, t in zip(numbers, times, strict=True)]
     return written(
@@ -356,7 +357,7 @@ def test_a_recorder_that_counts_anew_hides_no_gap(opened):
     assert with_code(log.ledger, "LOG-REORDERED") == []
 
 
-def order_of(numbers: str, times: str):
+def order_of(numbers, times):
     return in_sequence(
         np.array(numbers.split(), np.uint32),
         np.array(times.split(), np.int64),
@@ -376,7 +377,7 @@ def test_messages_stay_where_numbers_do_not_put_times_right(numbers, times):
     assert order_of(numbers, times) is None
 
 
-def stamped(opened: Opener, stamp_ns: int, recorded_ns: int) -> Log:
+def stamped(opened, stamp_ns, recorded_ns):
     """A pressure each tenth of a second, stamped by one clock and recorded by another."""
     steps = [k * SECOND // 10 for k in range(50)]
     rows = [(1, recorded_ns + step, cdr(stamp_ns + step, 9e4, 1.0)) for step in steps]

@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import with_code
-from tests.ingest.written_logs import MavlinkWriter, Opener, entry_in
-from unbend.ingest import Log
+from tests.ingest.written_logs import MavlinkWriter, entry_in
 from unbend.ingest.tlog.clock_samples import Sampler
 from unbend.ingest.tlog.sender_clocks import NEAR_NS, WRAP_OF_US_NS, unrolled
 
@@ -20,7 +19,7 @@ PLACE = {"lat": 475_000_000, "lon": 80_000_000, "alt": 600_000}
 class Bus(MavlinkWriter):
     """Messages of some components, an attitude of the autopilot each second, as received."""
 
-    def vehicle(self, boot_ms: int, utc_us: int):
+    def vehicle(self, boot_ms, utc_us):
         """Received 0.2 s late, by the ground station's clock."""
         at_us = utc_us + 200_000
         self.send("system_time", at_us, time_unix_usec=utc_us, time_boot_ms=boot_ms)
@@ -32,12 +31,12 @@ class Bus(MavlinkWriter):
         )
 
 
-def seconds(log: Log, name: str = "ATTITUDE") -> np.ndarray:
+def seconds(log, name="ATTITUDE"):
     """When the messages of a channel were sent, after the true beginning."""
     return (log.channel(name).time_ns // 1000 - START_US) / 1e6
 
 
-def log_of(opened: Opener, boot_ms: np.ndarray, received_us: np.ndarray) -> Log:
+def log_of(opened, boot_ms, received_us):
     """An attitude at each time since boot, right behind it an airspeed without a time."""
     writer = MavlinkWriter()
     first_ms = int(boot_ms[0])
@@ -351,7 +350,7 @@ ROLLOVER_US = 1024 * 604_800 * SECOND_US
 UTC_2042_US = 2_272_147_200_000_000
 
 
-def dated(opened: Opener, stated_us: int, *, host_us: int = START_US, fix: int = 0) -> Log:
+def dated(opened, stated_us, *, host_us=START_US, fix=0):
     """A minute whose SYSTEM_TIME begins at a UTC, received at the stamps of a ground station."""
     bus = Bus()
     for k in range(60):

@@ -1,7 +1,6 @@
 """Every cell of every telemetry log at hand, bit for bit as pymavlink decodes it."""
 
 from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from unbend.ingest import open_log
 LOGS = with_suffix(".tlog")
 
 
-def library_messages(path: Path) -> dict[str, list]:
+def library_messages(path):
     """All messages by type, read one by one; ids that the dialect does not know are left out."""
     from pymavlink import mavutil
 

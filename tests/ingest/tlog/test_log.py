@@ -24,11 +24,11 @@ PLACE = {"lat": 470_000_000, "lng": -1_225_000_000}
 class Vehicle(MavlinkWriter):
     """Messages sent at times since boot, 40 ms before they arrive."""
 
-    def sent(self, name: str, at_ms: int, /, **fields: object):
+    def sent(self, name, at_ms, /, **fields):
         received_us = START_US + (at_ms - 60_000) * 1000 + 40_000
         self.send(name, received_us, **fields)
 
-    def utc(self, ms: int, at_ms: int | None = None):
+    def utc(self, ms, at_ms=None):
         """The vehicle's clock, and UTC by it."""
         at_ms = ms if at_ms is None else at_ms
         self.sent(
@@ -38,17 +38,17 @@ class Vehicle(MavlinkWriter):
             time_boot_ms=ms,
         )
 
-    def autopilots_frames(self) -> list[int]:
+    def autopilots_frames(self):
         """Which frames are of system 1, component 1."""
         return [k for k, frame in enumerate(self.frames) if frame[13:15] == b"\x01\x01"]
 
-    def flip(self, frame: int, byte: int, bits: int):
+    def flip(self, frame, byte, bits):
         flipped = bytearray(self.frames[frame])
         flipped[byte] ^= bits
         self.frames[frame] = bytes(flipped)
 
 
-def flight(version: int = 2, *, seconds: int = 20) -> Vehicle:
+def flight(version=2, *, seconds=20):
     """Five times a second attitude, two barometers and a receiver; each second clocks and air."""
     writer = Vehicle(version)
     for k in range(seconds * 5):

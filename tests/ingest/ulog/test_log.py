@@ -2,7 +2,6 @@
 
 import struct
 import sys
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.helpers import refused, with_code
 from tests.ingest.written_logs import ULogWriter, entry_in, loss_codes
 from unbend.atmosphere.estimate.sensors import dynamic_of, heating_of
-from unbend.ingest import Log
 
 NOW_US = 1_700_000_000_000_000
 SHOT = "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;"
@@ -24,7 +22,7 @@ NEW_GPS = (
 PLACE = (47.5, 8.25, 600.0, 647.5)
 
 
-def flight() -> bytes:
+def flight():
     """As PX4 until 1.13 logs it, with two barometers and one image."""
     writer = ULogWriter()
     writer.define(
@@ -67,7 +65,7 @@ def flight() -> bytes:
     return writer.data
 
 
-def channel_names(log: Log) -> list[str]:
+def channel_names(log):
     return [channel.name for channel in log.channels]
 
 
@@ -89,16 +87,13 @@ def test_known_flight(opened):
     assert not log.ledger.has_losses
 
 
-ByRow = Callable[[int], int]
-
-
 def newer(
     *,
-    utc: ByRow = lambda k: NOW_US + 200_000 * k,
-    fix: ByRow = lambda _: 3,
-    stray: ByRow = lambda _: 0,
-    capture: ByRow = lambda _: 0,
-) -> ULogWriter:
+    utc=lambda k: NOW_US + 200_000 * k,
+    fix=lambda _: 3,
+    stray=lambda _: 0,
+    capture=lambda _: 0,
+):
     """As PX4 1.14 and later log it, for 12 s; by row: UTC and fix of the receiver, its error."""
     writer = ULogWriter()
     writer.define("sensor_gps", NEW_GPS)
@@ -135,7 +130,7 @@ def newer(
     return writer
 
 
-def seconds(log: Log, name: str = "vehicle_attitude") -> list[float]:
+def seconds(log, name="vehicle_attitude"):
     return ((log.channel(name).time_ns // 1000 - NOW_US) / 1e6).tolist()
 
 
@@ -187,7 +182,7 @@ def test_two_gimbals_in_one_topic_of_px4_are_two_channels(opened):
 def test_utc_of_a_receiver_counts_with_a_fix_and_once_a_time(opened):
     """The first rows are an hour off, without a fix; then two of three repeat the time before."""
 
-    def utc(k: int) -> int:
+    def utc(k):
         early_us = 3_600_000_000 if k < 24 else 0
         return NOW_US + 200_000 * (k - k % 3) - early_us
 
@@ -404,7 +399,7 @@ def test_a_file_whose_head_is_lost_or_damaged(opened, head, count):
         assert damage.count == 16  # the header
 
 
-def regular() -> tuple[bytes, list[bytes]]:
+def regular():
     """Definitions, and 60 s of messages: attitude at 100 Hz, air at 50 Hz, receiver at 5 Hz."""
     writer = ULogWriter()
     writer.define("sensor_gps", NEW_GPS)
@@ -414,7 +409,7 @@ def regular() -> tuple[bytes, list[bytes]]:
     head = writer.data
     rows = []
 
-    def row(name: str, layout: str, *values: float):
+    def row(name, layout, *values):
         writer.data = b""
         writer.row(name, layout, *values)
         rows.append(writer.data)

@@ -28,27 +28,24 @@ SIZES = {
 }
 HEADER = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
 
-Fields = list[tuple[str, int]]
-"""Types and lengths of arrays; 0 for one value."""
 
-
-def message(kind: str, content: bytes) -> bytes:
+def message(kind, content):
     return struct.pack("<HB", len(content), ord(kind)) + content
 
 
-def definition(name: str, fields: str) -> bytes:
+def definition(name, fields):
     return message("F", f"{name}:{fields}".encode())
 
 
-def subscription(number: int, name: str, instance: int = 0) -> bytes:
+def subscription(number, name, instance=0):
     return message("A", struct.pack("<BH", instance, number) + name.encode())
 
 
-def datum(number: int, content: bytes) -> bytes:
+def datum(number, content):
     return message("D", struct.pack("<H", number) + content)
 
 
-def read(data: bytes) -> ULogMessages:
+def read(data):
     return ULogMessages(view_of_bytes(data), ("a",))
 
 
@@ -59,9 +56,10 @@ FIELDS = st.lists(
     ),
     max_size=6,
 )
+"""Types and lengths of arrays; 0 for one value."""
 
 
-def declared(fields: Fields) -> str:
+def declared(fields):
     text = ""
     for k, (kind, count) in enumerate(fields):
         text += f"{kind}[{count}] f{k};" if count else f"{kind} f{k};"

@@ -5,8 +5,6 @@
 Four images of each point, 400 points an image, parts of 50,000 rows.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -32,13 +30,13 @@ POINTS = 400
 IMAGES = 4
 
 
-def peak_mb() -> float:
+def peak_mb():
     # Not ru_maxrss: that starts at what the parent had when it made this process.
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
 
 
-def write(name: str, rows: int, folder: Path) -> None:
+def write(name, rows, folder):
     n = rows // POINTS
     rng = np.random.default_rng(3)
     images = np.array([f"{i:05d}.tif" for i in range(n)], object)

@@ -1,13 +1,9 @@
 """Finished runs that are made by hand, what a format writes of them, and places by PROJ."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
 import pyarrow.parquet as pq
 import pyproj
 from pyarrow.csv import ConvertOptions, read_csv
@@ -16,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from tests.helpers import with_code
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
-from unbend.flight.stations import Stations, empty_stations
-from unbend.messages import Ledger, Message
+from unbend.flight.stations import empty_stations
+from unbend.messages import Ledger
 from unbend.refraction.image import Exposures
 from unbend.refraction.ray import rays_by
 from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
@@ -30,18 +26,18 @@ HERE = Path()
 TO_ECEF = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
 
 
-def ecef_of(lon, lat, h) -> np.ndarray:
+def ecef_of(lon, lat, h):
     """(..., 3) earth-centred coordinates, by PROJ."""
     return np.stack(TO_ECEF.transform(lon, lat, h), axis=-1)
 
 
-def enu_axes(lon: float, lat: float) -> np.ndarray:
+def enu_axes(lon, lat):
     """(3, 3) from earth-centred axes to east, north, up."""
     to_ecef = Rotation.from_euler("ZX", [90.0 + lon, 90.0 - lat], degrees=True)
     return to_ecef.as_matrix().T
 
 
-def rotation_to_photo(angles: pd.Series) -> np.ndarray:
+def rotation_to_photo(angles):
     """From the frame to the photo (x right, y up): Elements of Photogrammetry, Eq. C-33."""
     radians = np.radians(angles[["omega_deg", "phi_deg", "kappa_deg"]].to_numpy(float))
     so, sp, sk = np.sin(radians)
@@ -55,7 +51,7 @@ def rotation_to_photo(angles: pd.Series) -> np.ndarray:
     )
 
 
-def quaternions_of(turns) -> np.ndarray:
+def quaternions_of(turns):
     """(n, 4), NaN where a turn is unknown."""
     turns = np.asarray(turns)
     quaternions = np.full((len(turns), 4), np.nan)
@@ -65,7 +61,7 @@ def quaternions_of(turns) -> np.ndarray:
     return quaternions
 
 
-def stations_at(names, camera, lon, lat, h_msl, h_ellipsoid, turns, **columns: Any) -> Stations:
+def stations_at(names, camera, lon, lat, h_msl, h_ellipsoid, turns, **columns):
     """Stations [deg, m] whose ``turns`` (n, 3, 3) lead from east, north, up to the cameras."""
     count = len(names)
     image = np.array(names, object)
@@ -82,12 +78,12 @@ def stations_at(names, camera, lon, lat, h_msl, h_ellipsoid, turns, **columns: A
 
 
 def finished_run(
-    stations: Stations,
-    turns: np.ndarray,
+    stations,
+    turns,
     cameras: dict[str, ExportCamera],
-    ground_m: float,
-    **changes: Any,
-) -> FinishedRun:
+    ground_m,
+    **changes,
+):
     """A run in the US standard atmosphere, over level ground, all of whose stations are usable.
 
     Pixels count from the centre.
@@ -127,30 +123,30 @@ class Written:
     ledger: Ledger
 
     @property
-    def counts(self) -> list[tuple[str, str, int]]:
+    def counts(self):
         """Kind, code and count of each message."""
         return [(message.kind, message.code, message.count) for message in self.ledger]
 
-    def message(self, code: str) -> Message:
+    def message(self, code):
         """The only message of this code."""
         (message,) = with_code(self.ledger, code)
         return message
 
-    def table(self) -> pd.DataFrame:
+    def table(self):
         """The rows of a CSV, in which nothing stands for null, or of Parquet."""
         table = read_table(self.path)
         assert len(table) == self.count
         return table
 
 
-def read_table(path: Path) -> pd.DataFrame:
+def read_table(path):
     if path.suffix == ".parquet":
         return pq.read_table(path).to_pandas()
     options = ConvertOptions(null_values=[""], strings_can_be_null=True)
     return read_csv(path, convert_options=options).to_pandas()
 
 
-def write_export(run: FinishedRun, name: str, folder: Path = HERE, **values: object) -> Written:
+def write_export(run, name, folder=HERE, **values):
     """Write a format under a name that is new in the folder."""
     form = FORMATS[name]
     number = len(list(folder.iterdir()))

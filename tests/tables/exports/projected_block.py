@@ -4,13 +4,9 @@ Truth: PROJ for places and frames, the lens' formulas written out. Two cameras i
 so that the vertical turns by 450 arcsec; pixels counted from the centre of the first.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
-from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -21,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.tables.exports.export_runs import (
     DOWN,
-    Written,
     ecef_of,
     enu_axes,
     finished_run,
@@ -30,7 +25,7 @@ from tests.tables.exports.export_runs import (
 )
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
-from unbend.tables.exports import ExportCamera, FinishedRun
+from unbend.tables.exports import ExportCamera
 
 NADIR = Camera(
     width_px=14000,
@@ -81,32 +76,32 @@ def distorted(camera, u, v):
 class Frame:
     """East, north, up at an origin (latitude, longitude, height), by PROJ."""
 
-    def __init__(self, origin) -> None:
+    def __init__(self, origin):
         self.origin = [float(value) for value in origin]
         lat, lon, h = self.origin
         self.proj = pyproj.Transformer.from_pipeline(
             f"+proj=topocentric +ellps=WGS84 +lat_0={lat!r} +lon_0={lon!r} +h_0={h!r}"
         )
 
-    def __call__(self, ecef: np.ndarray) -> np.ndarray:
+    def __call__(self, ecef):
         """(n, 3) places in the frame, of earth-centred ones."""
         return np.stack(self.proj.transform(*ecef.T), axis=1)
 
 
-def frame_of(written: Written) -> Frame:
+def frame_of(written):
     """The frame whose origin the ledger states."""
     message = written.message("EXPORT-FRAME").what
     assert "neither earth curvature nor a map projection is applied" in message
     return Frame(re.findall(r"(-?[0-9.]+) (?:N|E|m above)", message))
 
 
-def point_names(folder: Path) -> dict[int, str]:
+def point_names(folder):
     """Names of the points that are not numbers, by the numbers they have in the files."""
     table = read_table(folder / "points.csv")
     return dict(zip(table.id, table.point, strict=True))
 
 
-def names_of_points(folder: Path, numbers: Iterable[int]) -> list[str]:
+def names_of_points(folder, numbers):
     """Names of points by their numbers in the files; those without one are called by the number."""
     names = point_names(folder)
     return [names.get(number, str(number)) for number in numbers]
@@ -118,7 +113,7 @@ class Block:
     ``rows`` : image, point, pixels as COLMAP counts them, height, and u, v without distortion.
     """
 
-    def __init__(self, folder: Path, nadir: Camera = NADIR) -> None:
+    def __init__(self, folder, nadir=NADIR):
         rng = np.random.default_rng(11)
         number = np.arange(IMAGES)
         is_side = number % 2
@@ -156,7 +151,7 @@ class Block:
         images_of_point = self.rows.point.value_counts()
         self.tied = set(images_of_point.index[images_of_point > 1])
 
-    def seen_in(self, i: int) -> pd.DataFrame:
+    def seen_in(self, i):
         """The points of an image."""
         camera = self.cameras[self.camera[i]].camera
         axes = enu_axes(self.lon[i], self.lat[i])
@@ -178,18 +173,18 @@ class Block:
         return rows[is_before & is_in_width & is_in_height]
 
     @property
-    def ordered(self) -> pd.DataFrame:
+    def ordered(self):
         """The rows image by image, in each in the order of the run."""
         return pd.concat([self.of_image(image) for image in self.image], ignore_index=True)
 
-    def of_image(self, image: str) -> pd.DataFrame:
+    def of_image(self, image):
         return self.rows[self.rows.image == image]
 
-    def places(self, points) -> np.ndarray:
+    def places(self, points):
         """(n, 3) earth-centred places of points."""
         return np.array([self.place[point] for point in points])
 
-    def axes(self, frame: Frame) -> np.ndarray:
+    def axes(self, frame):
         """(n, 3, 3) from a frame to east, north, up at each station."""
         axes = []
         for lon, lat, centre in zip(
@@ -203,7 +198,7 @@ class Block:
             axes.append((ends - frame(centre[None])) * 1e-3)
         return np.array(axes)
 
-    def run(self, rows: pd.DataFrame | None = None, **changes) -> FinishedRun:
+    def run(self, rows=None, **changes):
         """The finished run of all rows, or of others, as two files as it writes them."""
         if rows is None:
             rows = self.rows
@@ -230,7 +225,7 @@ class Block:
         )
         return replace(run, **changes)
 
-    def part_of(self, rows: pd.DataFrame) -> Path:
+    def part_of(self, rows):
         path = self.folder / f"part-{next(self.numbers)}.parquet"
         columns = {
             "image": pa.array(rows.image, pa.string()),
@@ -243,17 +238,17 @@ class Block:
         pq.write_table(pa.table(columns), path)
         return path
 
-    def with_stations(self, rows: pd.DataFrame | None = None, **columns) -> FinishedRun:
+    def with_stations(self, rows=None, **columns):
         """The run with other values of its stations."""
         run = self.run(rows)
         return replace(run, stations=replace(run.stations, **columns))
 
-    def renamed(self, names) -> FinishedRun:
+    def renamed(self, names):
         """The run with other names of the images."""
         new_names = dict(zip(self.image, names, strict=True))
         rows = self.rows.assign(image=self.rows.image.map(new_names))
         return self.with_stations(rows, image=np.array(names, object))
 
-    def with_side_camera(self, camera: Camera, rows: pd.DataFrame | None = None) -> FinishedRun:
+    def with_side_camera(self, camera, rows=None):
         side = ExportCamera(camera, False)
         return self.run(rows, cameras=self.cameras | {"side": side})

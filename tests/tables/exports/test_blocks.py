@@ -3,13 +3,10 @@
 Truth: that of `projected_block`, pycolmap for COLMAP's files.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import re
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from itertools import combinations
@@ -23,7 +20,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import refused, with_code
 from tests.tables.checks import assert_within, refused_with
-from tests.tables.exports.export_runs import DOWN, Written, read_table, write_export
+from tests.tables.exports.export_runs import DOWN, read_table, write_export
 from tests.tables.exports.projected_block import (
     IMAGES,
     NADIR,
@@ -52,17 +49,17 @@ NAN_OF_IMAGES = np.full(IMAGES, np.nan)
 
 
 @pytest.fixture(scope="module")
-def written(block, tmp_path_factory) -> Callable[[str], Written]:
+def written(block, tmp_path_factory):
     """The block as a format writes it, once for all tests."""
 
     @functools.cache
-    def write(name: str) -> Written:
+    def write(name):
         return write_export(block.run(), name, tmp_path_factory.mktemp(name))
 
     return write
 
 
-def read_json(path: Path):
+def read_json(path):
     return json.loads(path.read_text())
 
 
@@ -215,7 +212,7 @@ def test_lenses_that_a_format_cannot_hold(square, name, change, words):
     assert write_export(run, "bundler").count > 100
 
 
-def opened_database(written: Written):
+def opened_database(written):
     return closing(pycolmap.Database.open(written.path))
 
 
@@ -281,7 +278,7 @@ def test_pose_priors_are_the_stations_with_their_sigmas(block, written):
     assert_within(covariances, expected, 1e-8)
 
 
-def schema_of(file: Path) -> list[str]:
+def schema_of(file):
     """Statements that make the tables, without white space, and the version."""
     query = "SELECT sql FROM sqlite_master WHERE sql NOT NULL AND name != 'unbend'"
     statements = []
@@ -300,7 +297,7 @@ def test_the_schema_is_that_of_colmap(written, tmp_path):
     assert schema_of(written("colmap-database").path) == schema_of(empty)
 
 
-def keypoints_of(rows: pd.DataFrame) -> pd.DataFrame:
+def keypoints_of(rows):
     """Points as a database of keypoints gives them, each with a name of its own."""
     numbers = np.arange(len(rows)).astype(str)
     return rows.assign(point=rows.image + ":" + numbers)
@@ -474,7 +471,7 @@ def test_opensfm_keeps_nine_digits_and_the_stations(block, written):
 # ---------------------------------------------------------------- BINGO
 
 
-def read_bingo(path: Path) -> pd.DataFrame:
+def read_bingo(path):
     rows = []
     image = camera = None
     for line in path.read_text().splitlines():

@@ -1,8 +1,5 @@
 """Blocks that our own imports read again; those are tested by other programs' files."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,7 +12,6 @@ from tests.tables.exports.export_runs import DOWN, rotation_to_photo, write_expo
 from tests.tables.exports.projected_block import (
     SIDE,
     SQUARE,
-    Frame,
     distorted,
     frame_of,
     names_of_points,
@@ -31,14 +27,14 @@ from unbend.tables.imports.blocks import (
 FORMATS = ["opensfm", "pix4d", "blocksexchange"]
 
 
-def names_in_file(points, path: Path, program: str) -> list[str]:
+def names_in_file(points, path, program):
     """Names of points by those in a file, which are numbers in OpenSfM's."""
     if program == "opensfm":
         return names_of_points(path, map(int, points))
     return list(points)
 
 
-def heights_in_file(places: np.ndarray, frame: Frame, program: str) -> np.ndarray:
+def heights_in_file(places, frame, program):
     """Places in the frame of a block, of which one format has the heights above the ellipsoid."""
     if program == "blocksexchange":
         places[:, 2] += frame.origin[2]

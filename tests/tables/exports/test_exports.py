@@ -4,8 +4,6 @@ Two profiles, two cameras (one with fx and fy different), pixels counted from th
 first, and a comma in the name of an image: whatever is taken from the wrong place comes out wrong.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -22,7 +20,7 @@ from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from unbend.refraction import refraction_angle
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.ray import rays_by
-from unbend.tables.exports import FORMATS, ExportCamera, ExportFormat, FinishedRun, Option
+from unbend.tables.exports import FORMATS, ExportCamera, ExportFormat, Option
 from unbend.tables.exports.export_frames import ExportFrame
 
 NADIR = Camera(
@@ -62,7 +60,7 @@ STATIONS = pd.DataFrame(
 
 
 @pytest.fixture(scope="module")
-def run() -> FinishedRun:
+def run():
     """Images a, b and c of the nadir camera, d of the side camera, e unusable."""
     turns = np.tile(DOWN, (5, 1, 1))
     stations = stations_at(
@@ -92,7 +90,7 @@ def run() -> FinishedRun:
     return replace(run, exposures=exposures)
 
 
-def refraction(profile, h_c_m, zeta, radius_m=RADIUS) -> float:
+def refraction(profile, h_c_m, zeta, radius_m=RADIUS):
     return refraction_angle(profile, h_c_m, GROUND, zeta, radius_m)
 
 
@@ -104,7 +102,7 @@ def shift(focal_px, offset_px, profile, h_c_m):
 
 
 @pytest.fixture
-def lattice(run) -> pd.DataFrame:
+def lattice(run):
     """Three nodes by three of each usable image."""
     written = write_export(run, "lattice", columns=3, rows=3)
     assert written.counts == [("loss", "EXPORT-LEFT-OUT", 1)]
@@ -190,7 +188,7 @@ def test_images_without_ground_have_a_lattice_without_corrections(run):
     assert written.message("EXPORT-NO-GROUND").count == 2
 
 
-def effect_by_the_manual(h_km: float) -> float:
+def effect_by_the_manual(h_km):
     """[microrad] of a height, by the Manual of Photogrammetry."""
     return 2410.0 * h_km / (h_km**2 - 6.0 * h_km + 250.0)
 

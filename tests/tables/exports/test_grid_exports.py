@@ -4,14 +4,11 @@ Truth: PROJ for places, convergence and scale; a ray of an image through the exp
 the same ground as one in earth-centred axes; GDAL reads the GeoPackage.
 """
 
-from __future__ import annotations
-
 import json
 import sqlite3
 import xml.etree.ElementTree as ET
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 
 import geopandas
 import numpy as np
@@ -26,7 +23,6 @@ from tests.helpers import entry_of
 from tests.tables.checks import assert_within
 from tests.tables.exports.export_runs import (
     DOWN,
-    Written,
     ecef_of,
     enu_axes,
     finished_run,
@@ -35,7 +31,7 @@ from tests.tables.exports.export_runs import (
     write_export,
 )
 from unbend.refraction.camera.camera import Camera
-from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
+from unbend.tables.exports import FORMATS, ExportCamera
 from unbend.tables.exports.export_frames import frame_record
 from unbend.tables.geodata.map_grids import open_grid
 
@@ -82,7 +78,7 @@ def places_on_ground(steps):
     return lon, lat
 
 
-def pixels_of(lon, lat) -> np.ndarray:
+def pixels_of(lon, lat):
     """(2, 2) where the first two stations see these places on the ground, from the centre."""
     pixels = []
     for station in range(2):
@@ -101,7 +97,7 @@ MEASURED_PX = pixels_of(*APPARENT_PLACES)
 
 
 @pytest.fixture(scope="module")
-def block(tmp_path_factory) -> FinishedRun:
+def block(tmp_path_factory):
     """Three images, two with a point of known place and shift, one row without a correction."""
     time_ns = np.full(3, 1_749_718_800_500_000_000)
     stations = stations_at(
@@ -130,7 +126,7 @@ def block(tmp_path_factory) -> FinishedRun:
     return finished_run(stations, TURNS, cameras, GROUND, parts=(part,))
 
 
-def in_grid(run: FinishedRun, crs: str, name: str) -> FinishedRun:
+def in_grid(run, crs, name):
     form = FORMATS[name]
     grid, _ = open_grid(
         crs,
@@ -142,11 +138,11 @@ def in_grid(run: FinishedRun, crs: str, name: str) -> FinishedRun:
     return replace(run, grid=grid)
 
 
-def written_in_grid(run: FinishedRun, crs: str, name: str) -> Written:
+def written_in_grid(run, crs, name):
     return write_export(in_grid(run, crs, name), name)
 
 
-def to_grid(crs: str, lon, lat) -> np.ndarray:
+def to_grid(crs, lon, lat):
     """(n, 2) coordinates, x first, by PROJ."""
     transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
     return np.stack(transformer.transform(lon, lat), axis=-1)
@@ -399,7 +395,7 @@ def test_quarter_turns_of_bingo_turn_the_axes_of_its_frame(block, quarter_turns,
 # ---------------------------------------------------------------- the command
 
 
-def sidecar_of(file: Path) -> dict:
+def sidecar_of(file):
     sidecar = file.with_name(f"{file.name}.unbend.json")
     return json.loads(sidecar.read_text(encoding="utf-8"))
 

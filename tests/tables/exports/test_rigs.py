@@ -1,7 +1,5 @@
 """Rigs and frames of COLMAP's databases come out as they went in."""
 
-from __future__ import annotations
-
 import sqlite3
 from contextlib import closing
 from importlib import resources
@@ -17,7 +15,7 @@ SCHEMA = resources.files("unbend.tables.exports").joinpath("colmap_4_2.sql")
 POSE = np.array([0.9, 0.1, 0.2, 0.3, 0.2, -0.1, 0.0]).tobytes()
 
 
-def exported(names: list[str], cameras: list[int]):
+def exported(names, cameras):
     """What of an exported block rigs rest on."""
     numbers = np.array(cameras)
     return SimpleNamespace(

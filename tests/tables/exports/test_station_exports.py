@@ -3,8 +3,6 @@
 Truth: PROJ for places and frames, GDAL for the files, Wolf and Dewitt's matrix element by element.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -27,7 +25,7 @@ from tests.tables.exports.export_runs import (
 from tests.tables.exports.projected_block import Frame
 from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
-from unbend.tables.exports import ExportCamera, FinishedRun
+from unbend.tables.exports import ExportCamera
 from unbend.tables.exports.export_frames import origin_of
 
 CAMERA = Camera(
@@ -72,7 +70,7 @@ NAMES_OF_OK = [NAMES[number] for number in OK]
 
 
 @pytest.fixture(scope="module")
-def run() -> FinishedRun:
+def run():
     status = np.array(STATUS, object)
     suspect_reason = np.full(COUNT, "", object)
     suspect_reason[1] = "no fix"
@@ -100,7 +98,7 @@ def run() -> FinishedRun:
     return replace(run, exposures=exposures)
 
 
-def assert_footprints_show_the_images(polygons) -> None:
+def assert_footprints_show_the_images(polygons):
     """The ground at the corners of each footprint is what the corners of its image see."""
     assert len(polygons) == 3
     for station, polygon in enumerate(polygons):
@@ -116,7 +114,7 @@ def assert_footprints_show_the_images(polygons) -> None:
 # ---------------------------------------------------------------- places and footprints
 
 
-def assert_stations_of_four(stations, h_m: float, rtol: float) -> None:
+def assert_stations_of_four(stations, h_m, rtol):
     assert_allclose(stations.geometry.x, LON[:4], rtol=rtol)
     assert_allclose(stations.geometry.y, LAT[:4], rtol=rtol)
     assert_allclose(stations.geometry.z, h_m)
@@ -194,7 +192,7 @@ def test_kml_read_by_gdal(run):
 # ---------------------------------------------------------------- omega, phi, kappa
 
 
-def rotations_to_photos(table) -> list[np.ndarray]:
+def rotations_to_photos(table):
     return [rotation_to_photo(row) for _, row in table.iterrows()]
 
 

@@ -1,26 +1,23 @@
 """Rasters and geoid grids that tests write."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import rasterio
-from rasterio import Affine
 
 from unbend.geodesy import GeoidGrid
 
 
 def write_raster(
-    name: str | Path,
-    stored: np.ndarray,
-    transform: Affine,
+    name,
+    stored,
+    transform,
     *,
-    scale: float = 1.0,
-    offset: float = 0.0,
-    mask: np.ndarray | None = None,
+    scale=1.0,
+    offset=0.0,
+    mask=None,
     **options,
-) -> Path:
+):
     """A GeoTIFF of one band, in degrees unless another system is among the options."""
     path = Path(name)
     height, width = stored.shape
@@ -36,7 +33,7 @@ def write_raster(
     return path
 
 
-def level_geoid(undulation_m: float, name: str = "national.gtx") -> GeoidGrid:
+def level_geoid(undulation_m, name="national.gtx"):
     """A grid of the whole earth with one undulation."""
     values = np.full((181, 361), undulation_m, np.float32)
     return GeoidGrid(name, values, -90.0, -180.0, 1.0, 1.0)

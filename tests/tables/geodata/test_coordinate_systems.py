@@ -1,7 +1,5 @@
 """Positions in stated coordinate systems: PROJ's own numbers, published ones, and refusals."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -30,7 +28,7 @@ def placed(crs, x, y, h=0.0, heights="msl", geoid=None):
     )
 
 
-def refusal(*arguments, **options) -> InputError:
+def refusal(*arguments, **options):
     with pytest.raises(InputError) as refused:
         placed(*arguments, **options)
     return refused.value

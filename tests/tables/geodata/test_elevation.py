@@ -1,7 +1,5 @@
 """Elevation models from files; truth is the array that was written, kept in memory."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -103,7 +101,7 @@ BESIDE = {
 
 
 @pytest.fixture
-def with_files_beside() -> Path:
+def with_files_beside():
     """A raster whose place, mask and offset are in files beside it."""
     heights = np.full((300, 300), 7.0, np.float32)
     mask = np.full((300, 300), 255, np.uint8)

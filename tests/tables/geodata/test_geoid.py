@@ -1,7 +1,5 @@
 """Undulations: the grid of the package and others, against PROJ and published values."""
 
-from __future__ import annotations
-
 import hashlib
 import struct
 from importlib.resources import files
@@ -21,17 +19,17 @@ from unbend.tables.geodata.geoid import package_geoid, read_geoid
 PUBLISHED_SHA256 = "c02a6eb70a7a78efebe5adf3ade626eb75390e170bb8b3f36136a2c28f5326a0"
 
 
-def gtx(values) -> bytes:
+def gtx(values):
     """A grid of half degrees from 40 degrees north and 10 degrees east."""
     head = struct.pack(">4d2i", 40.0, 10.0, 0.5, 0.5, *values.shape)
     return head + values.astype(">f4").tobytes()
 
 
-def level_gtx(undulation_m) -> bytes:
+def level_gtx(undulation_m):
     return gtx(np.full((3, 3), undulation_m))
 
 
-def read_gtx(content: bytes):
+def read_gtx(content):
     path = Path("a.gtx")
     path.write_bytes(content)
     return read_geoid(path)
@@ -77,7 +75,7 @@ def egm96(tmp_path_factory):
     return path
 
 
-def undulations_by_proj(path, lat, lon) -> np.ndarray:
+def undulations_by_proj(path, lat, lon):
     """The forward shift takes a height above the geoid to one above the ellipsoid."""
     shift = pyproj.Transformer.from_pipeline(f"+proj=vgridshift +grids={path} +multiplier=1")
     sea_level = np.zeros(len(lat))

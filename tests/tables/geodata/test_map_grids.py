@@ -1,7 +1,5 @@
 """Results in a stated coordinate system. Truth: PROJ's own coordinates, convergence and scale."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyproj
 import pytest
@@ -45,7 +43,7 @@ def axes_of(crs, lat, lon):
     return grid.axes_at(*radians(lat, lon))
 
 
-def refusal(crs, lat=47.4, lon=8.6, **options) -> UnbendError:
+def refusal(crs, lat=47.4, lon=8.6, **options):
     with refused("EXPORT-CRS") as caught:
         opened(crs, lat, lon, **options)
     assert caught.value.exit_code == 2
@@ -83,7 +81,7 @@ def test_axes_to_the_west_and_south_are_half_a_turn_from_grid_north():
     assert grid.axes == ("west", "south")
 
 
-def height_in(grid, lat=47.4, lon=8.6) -> float:
+def height_in(grid, lat=47.4, lon=8.6):
     """Of a place 452 m above the sea and 500 m above the ellipsoid."""
     (height,) = grid.height.heights(
         *radians(lat, lon),

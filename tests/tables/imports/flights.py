@@ -3,10 +3,7 @@
 The truth does not use the package: coordinates by pyproj, GPS time by the calendar.
 """
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pyproj
@@ -15,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.tables.exports.export_runs import TO_ECEF, enu_axes
 from unbend.errors import InputError
-from unbend.flight.channels import Channel
 from unbend.messages import Ledger
 from unbend.tables.imports.stated import Stated
 
@@ -36,7 +32,7 @@ class Flight:
     Degrees of places, metres, radians of attitudes, velocity to the north, east and down.
     """
 
-    def __init__(self, folder: Path, t: np.ndarray) -> None:
+    def __init__(self, folder, t):
         self.folder = folder
         self.t = t
         course = TURN_RAD_S * t
@@ -59,34 +55,34 @@ class Flight:
         self.pitch = np.radians(2.0 + np.sin(t / 7.0))
         self.roll = np.radians(3.0) * np.sin(t / 5.0)
 
-    def at_times(self, t: np.ndarray) -> Flight:
+    def at_times(self, t):
         """The same flight at other times."""
         return Flight(self.folder, t)
 
     @property
-    def utc_ns(self) -> np.ndarray:
+    def utc_ns(self):
         start_ns = round(START.timestamp()) * 10**9
         since_ns = np.rint(self.t * 1e9)
         return start_ns + since_ns.astype(np.int64)
 
     @property
-    def attitude(self) -> Rotation:
+    def attitude(self):
         """v_ned = R v_body."""
         angles = np.stack([self.yaw, self.pitch, self.roll], axis=1)
         return Rotation.from_euler("ZYX", angles)
 
-    def gpst(self, k: int) -> str:
+    def gpst(self, k):
         time = START + timedelta(seconds=18.0 + float(self.t[k]))
         return f"{time:%Y/%m/%d %H:%M:%S.%f}"[:-3]
 
-    def put(self, name: str, content: str | bytes) -> Path:
+    def put(self, name, content):
         path = self.folder / name
         if isinstance(content, str):
             content = content.encode()
         path.write_bytes(content)
         return path
 
-    def pos(self, name="flight.pos", *, quality=1) -> Path:
+    def pos(self, name="flight.pos", *, quality=1):
         """As RTKLIB writes it: sigmas north 0.011, east 0.007, up 0.021."""
         lines = [
             "% program   : RTKPOST ver.2.4.3 b34\n"
@@ -104,7 +100,7 @@ class Flight:
             )
         return self.put(name, "".join(lines))
 
-    def sbet_rows(self, *, wander_deg=1.3, sign=1.0) -> np.ndarray:
+    def sbet_rows(self, *, wander_deg=1.3, sign=1.0):
         """POSPac: x north, y west, z up in the wander frame; platform heading = true + wander."""
         wander = np.radians(wander_deg) + 1e-4 * self.t
         north, east, down = self.velocity.T
@@ -131,12 +127,12 @@ class Flight:
             ]
         )
 
-    def sbet(self, *, rows=None, **how) -> Path:
+    def sbet(self, *, rows=None, **how):
         if rows is None:
             rows = self.sbet_rows(**how)
         return self.put("sbet.out", rows.astype("<f8").tobytes())
 
-    def smrmsg(self) -> Path:
+    def smrmsg(self):
         """Once a second: north 0.03, east 0.04, down 0.05 m; 0.6, 0.8, 3 arcmin."""
         t = np.arange(self.t.min() - 1.0, self.t.max() + 2.0)
         rows = np.empty((t.size, 10))
@@ -146,7 +142,7 @@ class Flight:
         rows[:, 7:] = [0.6, 0.8, 3.0]
         return self.put("smrmsg.out", rows.astype("<f8").tobytes())
 
-    def mrk(self) -> Path:
+    def mrk(self):
         lines = []
         for k in range(self.t.size):
             lines.append(
@@ -161,7 +157,7 @@ class Flight:
         angles=(-1.05, 0.32, 179.18),
         head="",
         shift=(0.0, 0.0, 0.0),
-    ) -> Path:
+    ):
         """POSPac's text with angles (n, 3) in its unit, more lines of its head, and shifted places.
 
         Easting, northing and height are shifted; latitude and longitude are not.
@@ -187,14 +183,14 @@ class Flight:
         return self.put("eo.txt", "".join(lines))
 
 
-def read(reader, path, settings=None) -> tuple[Channel, Ledger]:
+def read(reader, path, settings=None):
     """What a reader makes of a file, and what it says of it."""
     ledger = Ledger()
     channel = reader(path, settings or Stated(), ledger)
     return channel, ledger
 
 
-def refusal_of(reader, path, settings=None) -> InputError:
+def refusal_of(reader, path, settings=None):
     """How a reader refuses a file, which says what to do."""
     with pytest.raises(InputError) as caught:
         reader(path, settings or Stated(), Ledger())
@@ -202,12 +198,12 @@ def refusal_of(reader, path, settings=None) -> InputError:
     return caught.value
 
 
-def ns_off(channel, flight, later_ns=0) -> int:
+def ns_off(channel, flight, later_ns=0):
     """The largest difference of times from the truth, or from times later than that."""
     return np.abs(channel.time_ns - flight.utc_ns - later_ns).max()
 
 
-def metres_off(channel: Channel, flight: Flight) -> float:
+def metres_off(channel, flight):
     """The largest difference in place and height from the truth."""
     cosine = np.cos(np.radians(flight.lat))
     north = (channel["lat_rad"] - np.radians(flight.lat)) * 6.37e6
@@ -216,7 +212,7 @@ def metres_off(channel: Channel, flight: Flight) -> float:
     return np.abs([north, east, up]).max()
 
 
-def degrees_off(channel: Channel, flight: Flight) -> float:
+def degrees_off(channel, flight):
     """The largest angle between the attitudes and the true ones."""
     quaternions = [channel[f"q_{axis}"] for axis in "xyzw"]
     attitude = Rotation.from_quat(np.transpose(quaternions))
@@ -224,12 +220,12 @@ def degrees_off(channel: Channel, flight: Flight) -> float:
     return np.degrees(apart.magnitude().max())
 
 
-def assert_place(channel, row, lat_deg, lon_deg, tolerance_deg=1e-10) -> None:
+def assert_place(channel, row, lat_deg, lon_deg, tolerance_deg=1e-10):
     lat_rad = channel["lat_rad"][row]
     lon_rad = channel["lon_rad"][row]
     assert np.degrees(lat_rad) == pytest.approx(lat_deg, abs=tolerance_deg)
     assert np.degrees(lon_rad) == pytest.approx(lon_deg, abs=tolerance_deg)
 
 
-def utc_text(channel: Channel, row: int) -> str:
+def utc_text(channel, row):
     return str(np.datetime64(int(channel.time_ns[row]), "ns"))

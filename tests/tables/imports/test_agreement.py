@@ -1,7 +1,5 @@
 """What is imported against the log: few exposures, long trajectories, logs without positions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +11,7 @@ from unbend.flight.channels import Channel, Source
 from unbend.flight.evidence.imported_channels import contradictions_of_import
 from unbend.flight.evidence.stretches import Stretch
 from unbend.flight.heights import HeightSystem
-from unbend.messages import Ledger, Message
+from unbend.messages import Ledger
 from unbend.tables.imports.agreement import compare_with_log
 
 ROLES = ("position", "height")
@@ -25,7 +23,7 @@ LEVEL = {
 }
 
 
-def gps_of(flight, name, late_s=0.0, north_m=0.0) -> Channel:
+def gps_of(flight, name, late_s=0.0, north_m=0.0):
     """True positions, stamped late and moved to the north."""
     columns = {
         "lat_rad": np.radians(flight.lat) + north_m / 6.37e6,
@@ -36,7 +34,7 @@ def gps_of(flight, name, late_s=0.0, north_m=0.0) -> Channel:
     return Channel(name, time_ns, columns, Source("GPS"))
 
 
-def changed(channel: Channel, **columns) -> Channel:
+def changed(channel, **columns):
     """The channel with other columns; scalars are those of all rows, None removes a column."""
     changed_columns = dict(channel.columns)
     for name, values in columns.items():
@@ -46,7 +44,7 @@ def changed(channel: Channel, **columns) -> Channel:
     return replace(channel, columns=changed_columns)
 
 
-def compared(imported, log, replaces=ROLES) -> dict[str, Message]:
+def compared(imported, log, replaces=ROLES):
     """Messages by their codes."""
     ledger = Ledger()
     compare_with_log(imported, log, HeightSystem(47.6), ledger, replaces=replaces)
@@ -140,7 +138,7 @@ def test_the_height_of_the_other_surface_is_named(exposures, log):
 FIFTH_TENTH = slice(1200, 1500)  # of the 3000 rows of the flight
 
 
-def moved(channel: Channel, *, up_m=0.0, north_m=0.0) -> Channel:
+def moved(channel, *, up_m=0.0, north_m=0.0):
     """The channel with its fifth tenth elsewhere."""
     height = channel["h_ellipsoid_m"].copy()
     height[FIFTH_TENTH] += up_m

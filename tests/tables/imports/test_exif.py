@@ -1,7 +1,5 @@
 """Times of images from real small JPEG files and from exiftool's table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import exifread
@@ -11,11 +9,10 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
 
-from tests.helpers import refused, with_code
-from unbend.messages import Ledger, Message
+from tests.helpers import ns, refused, with_code
+from unbend.messages import Ledger
 from unbend.tables.imports.exif import (
     NO_TIME,
-    ImageTimes,
     read_gimbal_orientations,
     read_image_times,
 )
@@ -37,19 +34,15 @@ GPS_TIME = 0x0007
 SMALL_IMAGE = Image.new("RGB", (8, 8))
 
 
-def ns(text: str) -> int:
-    return int(np.datetime64(text, "ns").astype(np.int64))
-
-
 def write_jpeg(
-    name: str,
-    original: str | None,
-    subsec: str | None = None,
-    offset: str | None = None,
+    name,
+    original,
+    subsec=None,
+    offset=None,
     *,
-    gps: tuple | None = None,
-    xmp: str = "",
-) -> None:
+    gps=None,
+    xmp="",
+):
     """A JPEG of 8 x 8 pixels with these tags, written by Pillow."""
     exif = Image.Exif()
     tags = {ORIGINAL: original, SUBSEC: subsec, OFFSET: offset}
@@ -64,7 +57,7 @@ def write_jpeg(
     SMALL_IMAGE.save(path, exif=exif.tobytes(), xmp=xmp.encode())
 
 
-def write_second(second: int, **tags) -> None:
+def write_second(second, **tags):
     """A JPEG of 2026-05-01 10:20:30 local time and some seconds, called by these."""
     write_jpeg(f"{second}.jpg", f"2026:05:01 10:20:3{second}", **tags)
 
@@ -73,14 +66,14 @@ HERE = Path()
 TABLE = Path("exif.csv")
 
 
-def read(path: Path = HERE, zone: str = "") -> tuple[ImageTimes, dict[str, Message]]:
+def read(path=HERE, zone=""):
     """The times of images, and what was said by its codes."""
     ledger = Ledger()
     times = read_image_times(path, zone, ledger)
     return times, {entry.code: entry for entry in ledger}
 
 
-def read_table(text: str) -> tuple[ImageTimes, dict[str, Message]]:
+def read_table(text):
     """The same of exiftool's table."""
     TABLE.write_text(text)
     return read(TABLE)
@@ -297,7 +290,7 @@ DJI = XMP_BEGIN + (
 )
 
 
-def assert_place(position, latitude, longitude, height) -> None:
+def assert_place(position, latitude, longitude, height):
     assert np.degrees(position[:2]) == pytest.approx([latitude, longitude])
     assert position[2] == height
 
@@ -339,7 +332,7 @@ def test_positions_of_exiftool():
     assert np.isnan(times.position[1]).all()
 
 
-def gimbal(path: Path = HERE) -> tuple[list[np.ndarray | None], dict[str, Message]]:
+def gimbal(path=HERE):
     """Bodies against north, east and down in which cameras are at rest, and the ledger by codes."""
     ledger = Ledger()
     table = read_gimbal_orientations(path, Stated(), ledger)
@@ -357,7 +350,7 @@ def gimbal(path: Path = HERE) -> tuple[list[np.ndarray | None], dict[str, Messag
 SINE_OF_45 = np.sqrt(0.5)
 
 
-def assert_looks_down_to_the_east(bodies) -> None:
+def assert_looks_down_to_the_east(bodies):
     (body,) = bodies
     assert body[:, 2] == pytest.approx([0.0, SINE_OF_45, SINE_OF_45], abs=1e-9)
 
@@ -418,7 +411,7 @@ def test_xmp_is_read_however_it_is_written(xmp):
     assert not entries
 
 
-def insert_segments(name: str, segments: bytes) -> None:
+def insert_segments(name, segments):
     """Put segments before all others of a JPEG."""
     path = Path(name)
     whole = path.read_bytes()
@@ -440,7 +433,7 @@ def test_xmp_behind_other_segments_of_a_megabyte_is_read():
 EDITORS_PACKET = XMP_BEGIN + 'drone-dji:Model="M"/></rdf:RDF></x:xmpmeta>'
 
 
-def with_packet_before(name: str, packet: str) -> None:
+def with_packet_before(name, packet):
     """Put another segment of XMP before all others of a JPEG."""
     content = b"http://ns.adobe.com/xap/1.0/\0" + packet.encode()
     length = len(content) + 2

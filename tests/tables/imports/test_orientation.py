@@ -1,14 +1,11 @@
 """Tables of orientations that are read, and those that are refused with their line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.helpers import refused, with_code
-from unbend.errors import UnbendError
 from unbend.flight.stations import NO_TIME
 from unbend.messages import Ledger
 from unbend.tables.imports.stated import Stated
@@ -27,7 +24,7 @@ HEAD = "image,lat,lon,h,o,p,k\n"
 ROW = "a,47.5,8.5,3000.5,1.0,-2.0,90.0\n"
 
 
-def read(text: str, names=NAMES, unit: str = "deg"):
+def read(text, names=NAMES, unit="deg"):
     path = Path("block.csv")
     path.write_text(text, encoding="utf-8")
     settings = Stated(columns=names, angle_unit=unit)
@@ -36,7 +33,7 @@ def read(text: str, names=NAMES, unit: str = "deg"):
     return table, tuple(ledger)
 
 
-def refusal(text: str, code: str, **options) -> UnbendError:
+def refusal(text, code, **options):
     with refused(code) as caught:
         read(text, **options)
     assert "block.csv" in caught.value.where
@@ -285,7 +282,7 @@ DEFAULTS = {name: name for name in NAMES}
 UNSTATED = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
 
 
-def read_by_defaults(text: str, **options):
+def read_by_defaults(text, **options):
     path = Path("own.csv")
     path.write_text(text, encoding="utf-8")
     settings = Stated(columns=DEFAULTS, heights="ellipsoid", **options)

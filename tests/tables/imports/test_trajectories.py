@@ -1,7 +1,5 @@
 """Trajectories of other programs: what was written is read, and what is wrong is told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -396,11 +394,11 @@ OF_PLACES = replace(GPST, columns=PLACES)
 OF_ANGLES = replace(GPST, columns=PLACES | ANGLES)
 
 
-def gps_times(flight) -> list[str]:
+def gps_times(flight):
     return [flight.gpst(k) for k in range(flight.t.size)]
 
 
-def write_csv(flight, header: str, *columns, times=None):
+def write_csv(flight, header, *columns, times=None):
     """A CSV of times, without any those of the flight in GPS time, and numbers."""
     rows = [header]
     for time, *numbers in zip(times or gps_times(flight), *columns, strict=True):
@@ -409,19 +407,19 @@ def write_csv(flight, header: str, *columns, times=None):
     return flight.put("t.csv", "\n".join(rows) + "\n")
 
 
-def utc_dates(flight) -> list[str]:
+def utc_dates(flight):
     return [f"{np.datetime64(int(time), 'ns')}Z" for time in flight.utc_ns]
 
 
-def seconds_of_week(flight) -> list[str]:
+def seconds_of_week(flight):
     return [f"{TOW + t:.3f}" for t in flight.t]
 
 
-def seconds_since_1980(flight) -> list[str]:
+def seconds_since_1980(flight):
     return [f"{WEEK * 604_800 + TOW + t:.3f}" for t in flight.t]
 
 
-def seconds_since_1970(flight) -> list[str]:
+def seconds_since_1970(flight):
     return [f"{time / 1e9:.3f}" for time in flight.utc_ns]
 
 
@@ -448,6 +446,13 @@ def test_a_csv_has_its_times_in_any_of_five_forms(flight, times, settings, mark)
     assert metres_off(channel, flight) < 2e-4
 
 
+def assert_alone_unknown(row, flight, channel, ledger):
+    """The other rows have their times."""
+    known_ns = np.delete(flight.utc_ns, row)
+    assert np.abs(channel.time_ns - known_ns).max() < 1000
+    assert [entry.count for entry in with_code(ledger, "IMPORT-ROWS")] == [1]
+
+
 @pytest.mark.parametrize(
     ("times", "settings"),
     [
@@ -466,9 +471,7 @@ def test_a_time_of_minus_one_is_unknown_and_moves_no_other(flight, times, settin
 
     channel, ledger = read(read_trajectory_csv, path, replace(settings, columns=PLACES))
 
-    known_ns = np.delete(flight.utc_ns, unknown_row)
-    assert np.abs(channel.time_ns - known_ns).max() < 1000
-    assert [entry.count for entry in with_code(ledger, "IMPORT-ROWS")] == [1]
+    assert_alone_unknown(unknown_row, flight, channel, ledger)
 
 
 @pytest.mark.parametrize(("week", "seconds"), [("-1", "302400"), (f"{WEEK}", "-1"), ("-1", "-1")])
@@ -485,9 +488,7 @@ def test_a_week_or_seconds_of_minus_one_are_unknown(flight, week, seconds):
     settings = replace(GPST, columns=PLACES | {"week": "w"})
     channel, ledger = read(read_trajectory_csv, path, settings)
 
-    known_ns = np.delete(flight.utc_ns, unknown_row)
-    assert np.abs(channel.time_ns - known_ns).max() < 1000
-    assert [entry.count for entry in with_code(ledger, "IMPORT-ROWS")] == [1]
+    assert_alone_unknown(unknown_row, flight, channel, ledger)
 
 
 @pytest.mark.parametrize(

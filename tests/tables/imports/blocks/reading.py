@@ -1,7 +1,5 @@
 """All that a mission reads of a block, and how a block is refused."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -26,19 +24,19 @@ SHARED = Path(__file__).resolve().parents[5] / "shared" / "ba"
 OPENSFM = Path(__file__).resolve().parents[3] / "data" / "opensfm"
 
 
-def rows(path: Path, program: str) -> pd.DataFrame:
+def rows(path, program):
     """The image points of a block."""
     batches = [batch.to_pandas() for batch in block_rows(path, program)]
     return pd.concat(batches, ignore_index=True)
 
 
-def places_of(path: Path, program: str) -> dict[str, np.ndarray]:
+def places_of(path, program):
     """The places of the object points of a block by their names."""
     names, places = block_reader(program).read_points(path)
     return dict(zip(names.to_pylist(), places, strict=True))
 
 
-def missed(path: Path, program: str, places: dict[str, np.ndarray]) -> np.ndarray:
+def missed(path, program, places: dict[str, np.ndarray]):
     """(n, 2) by how many pixels points, through poses and the only camera, miss image points."""
     images = read_block_images(path, program)
     turns = Rotation.from_quat(images.angles, scalar_first=True)
@@ -55,7 +53,7 @@ def missed(path: Path, program: str, places: dict[str, np.ndarray]) -> np.ndarra
     return projected - image_points[["x_px", "y_px"]].to_numpy()
 
 
-def read_everything(path: Path, program: str) -> None:
+def read_everything(path, program):
     """All that a mission reads of a block."""
     reader = block_reader(program)
     with damage_refused(path, program):
@@ -77,7 +75,7 @@ def read_everything(path: Path, program: str) -> None:
 WORDS_OF_LIBRARIES = r"Error|Traceback|codec|unpack|literal|NoneType|object has|0x|sqlite3"
 
 
-def refusal(path: Path, program: str) -> str:
+def refusal(path, program):
     """What a mission says that cannot read a block, without a word of Python or of a library."""
     with pytest.raises(InputError) as caught:
         read_everything(path, program)

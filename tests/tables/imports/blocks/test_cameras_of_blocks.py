@@ -1,7 +1,5 @@
 """Cameras of other programs, against those programs' own formulas, libraries and blocks."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -74,7 +72,7 @@ def test_what_pycolmap_writes(name, write):
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2", "c_x", "c_y")
 
 
-def opensfm_projection(camera, u, v) -> np.ndarray:
+def opensfm_projection(camera, u, v):
     """(n, 2) image points of (u, v, 1), in units of the longer side, from the image's centre."""
     k1, k2, k3, k4, p1, p2, c_x, c_y = (camera.get(name, 0.0) for name in COEFFICIENTS)
     r2 = u * u + v * v

@@ -1,7 +1,5 @@
 """Metashape: projects in parts, labels that repeat, and which markers are measured."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from pathlib import Path
@@ -16,14 +14,14 @@ from tests.tables.imports.blocks.reading import refusal, rows
 from unbend.tables.imports.blocks import block_reader, read_block_images, read_camera
 
 
-def zipped(path: Path, **files: str | bytes) -> None:
+def zipped(path, **files):
     path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in files.items():
             archive.writestr(name.replace("__", "."), content)
 
 
-def write_psx(folder: Path, block: SmallBlock) -> Path:
+def write_psx(folder, block):
     """The same chunk in the parts of a project, with two tie points of one image beside it."""
     block.write_metashape(folder / "whole.xml", reference="EPSG:4326")
     text = (folder / "whole.xml").read_text()
@@ -91,7 +89,7 @@ def test_a_project_without_its_folder_names_the_way_out(tmp_path):
     assert ".psz" in str(missing.value)
 
 
-def write_two_flights(path: Path, block: SmallBlock) -> str:
+def write_two_flights(path, block):
     """A document of twelve images, of which the last six are called as the first; its text."""
     block.write_metashape(path, reference="EPSG:4326")
     text = path.read_text()
@@ -101,7 +99,7 @@ def write_two_flights(path: Path, block: SmallBlock) -> str:
     return text
 
 
-def in_groups(text: str) -> str:
+def in_groups(text):
     cameras = re.findall(r"<camera id.*?</camera>", text)
     for label, part in (("one", cameras[:6]), ("two", cameras[6:])):
         together = "".join(part)
@@ -109,7 +107,7 @@ def in_groups(text: str) -> str:
     return text
 
 
-def with_paths(text: str) -> str:
+def with_paths(text):
     photos = ""
     for number in range(12):
         folder = "one" if number < 6 else "two"

@@ -1,7 +1,5 @@
 """Blocks of other programs against those programs, and what is refused in them."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -40,7 +38,7 @@ needs_blocks = pytest.mark.shared("ba")
 CAMERA = pycolmap.SensorType.CAMERA
 
 
-def pose_of(turn: Rotation, place) -> pycolmap.Rigid3d:
+def pose_of(turn, place):
     rotation = pycolmap.Rotation3d(turn.as_matrix())
     return pycolmap.Rigid3d(rotation, np.array(place))
 
@@ -53,15 +51,15 @@ class Model:
     bin: Path
     txt: Path
 
-    def file(self, name: str, form: str = "txt") -> Path:
+    def file(self, name, form="txt"):
         return getattr(self, form) / f"{name}.{form}"
 
-    def refusal(self, form: str = "txt") -> str:
+    def refusal(self, form="txt"):
         return refusal(getattr(self, form), "colmap")
 
 
 @pytest.fixture
-def model(tmp_path) -> Model:
+def model(tmp_path):
     """Eight images, four of a rig of two cameras that moves and turns: poses are composed."""
     draw = np.random.default_rng(13)
     block = pycolmap.Reconstruction()
@@ -258,7 +256,7 @@ def test_images_that_stand_twice_and_points_that_are_missing(model):
     assert "has a points3D.txt" in model.refusal()
 
 
-def write_database(name: str, keypoints: dict[str, np.ndarray]) -> Path:
+def write_database(name, keypoints: dict[str, np.ndarray]):
     """By pycolmap, as its feature extractor writes it."""
     path = Path(name)
     camera = pycolmap.Camera(
@@ -586,7 +584,7 @@ def script(request, tmp_path):
 ADJUSTED_POINT = re.compile(r"^ +(\d+), +([\d.]+), +([\d.]+), +([\d.]+),", re.MULTILINE)
 
 
-def adjusted_points(report: Path) -> dict[str, np.ndarray]:
+def adjusted_points(report):
     """The control points of a report as they were adjusted."""
     points = {}
     for part in report.read_text().split("Posterior")[1:]:
