@@ -181,10 +181,10 @@ def in_other_frame(baseline):
 
     def turned(axes_in_enu):
         table = baseline.station_rows()
-        camera_from_frame = attitudes(table) @ axes_in_enu.transpose(0, 2, 1)
-        quaternion = Rotation.from_matrix(camera_from_frame).as_quat(scalar_first=True)
-        rows = table[["image", "camera", "lat_deg", "lon_deg", "h_msl_m"]].copy()
-        rows[QUATERNION] = quaternion
+        enu_from_frame = axes_in_enu.transpose(0, 2, 1)
+        camera_from_frame = Rotation.from_matrix(attitudes(table) @ enu_from_frame)
+        rows = table[["image", "camera", *PLACE_COLUMNS]].copy()
+        rows[QUATERNION] = camera_from_frame.as_quat(scalar_first=True)
         return rows
 
     return turned
@@ -192,17 +192,20 @@ def in_other_frame(baseline):
 
 def test_stations_in_a_projection_have_a_height_of_that_name(simple, in_other_frame, baseline):
     table = baseline.station_rows()
+    longitude = table["lon_deg"]
+    latitude = table["lat_deg"]
     projection = Proj("EPSG:32632")
-    x, y = projection(table["lon_deg"], table["lat_deg"])
-    convergence = projection.get_factors(table["lon_deg"], table["lat_deg"]).meridian_convergence
-    grid_from_enu = Rotation.from_euler("z", convergence[:, None], degrees=True).as_matrix()
-    stations = in_other_frame(grid_from_enu).drop(columns=["lat_deg", "lon_deg"])
-    stations["x"] = x
-    stations["y"] = y
+    convergence = projection.get_factors(longitude, latitude).meridian_convergence
+    about_z = Rotation.from_euler("z", convergence[:, None], degrees=True)
+    stations = in_other_frame(about_z.as_matrix())
+    stations["x"], stations["y"] = projection(longitude, latitude)
+    stations = stations.drop(columns=["lat_deg", "lon_deg"])
+    frame = {"frame": "projected", "crs": "EPSG:32632"}
 
-    result = simple(stations=stations, orientation={"frame": "projected", "crs": "EPSG:32632"})
+    result = simple(stations=stations, orientation=frame)
 
-    assert_allclose(result[CORRECTED], simple()[CORRECTED], rtol=0.0, atol=5e-6)
+    expected = simple()
+    assert_allclose(result[CORRECTED], expected[CORRECTED], rtol=0.0, atol=5e-6)
 
 
 def test_stations_in_degrees_may_have_angles_of_one_local_frame(simple, in_other_frame, baseline):
@@ -216,7 +219,8 @@ def test_stations_in_degrees_may_have_angles_of_one_local_frame(simple, in_other
 
     result = simple(stations=stations, orientation={"frame": {"enu": origin}})
 
-    assert_allclose(result[CORRECTED], simple()[CORRECTED], rtol=0.0, atol=5e-6)
+    expected = simple()
+    assert_allclose(result[CORRECTED], expected[CORRECTED], rtol=0.0, atol=5e-6)
 
 
 def test_a_table_is_answered_by_its_kind(simple, frame):

@@ -32,11 +32,16 @@ ICAN = standard_atmosphere("ican", index="gyer")
 
 def test_a_column_that_nobody_fills_is_an_error():
     """None fills a column with nulls; a column that is forgotten is no such column."""
-    schema = pa.schema([("a", pa.float64()), ("b", pa.float64())])
-    table = table_of({"a": np.array([1.0, np.nan]), "b": None}, schema)
-    assert table.to_pydict() == {"a": [1.0, None], "b": [None, None]}
+    number = pa.float64()
+    schema = pa.schema({"a": number, "b": number})
+    columns = {"a": np.array([1.0, np.nan])}
     with pytest.raises(KeyError, match="b"):
-        table_of({"a": np.ones(2)}, schema)
+        table_of(columns, schema)
+
+    columns["b"] = None
+
+    expected = {"a": [1.0, None], "b": [None, None]}
+    assert table_of(columns, schema).to_pydict() == expected
 
 
 def test_the_profile_stands_beside_the_standard():

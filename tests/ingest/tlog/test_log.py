@@ -262,6 +262,14 @@ def test_a_cut_last_message_costs_no_other(opened):
     assert log.bad_bytes == 0
 
 
+def scanned(writer, data):
+    """A scan of bytes that knows the messages of a writer."""
+    extras = {}
+    for number, kind in writer.library.mavlink_map.items():
+        extras[number] = kind.crc_extra
+    return Scan(view_of_bytes(data), extras, {})
+
+
 @pytest.mark.parametrize("beyond", [1, 8, 16, 17])
 def test_a_frame_that_is_cut_just_behind_a_stretch(beyond):
     """The header of its last frame begins before the end of a stretch and after it is the end."""
@@ -269,13 +277,10 @@ def test_a_frame_that_is_cut_just_behind_a_stretch(beyond):
     head = START_US.to_bytes(8, "big") + b"\xfd\x09"
     begin = STRETCH + beyond - len(head)
     filling = bytes(begin - len(writer.data))
-    mavlink_map = writer.library.mavlink_map
-    extras = {number: kind.crc_extra for number, kind in mavlink_map.items()}
 
-    whole = Scan(view_of_bytes(writer.data), extras, {})
-    cut = Scan(view_of_bytes(writer.data + filling + head), extras, {})
+    cut = scanned(writer, writer.data + filling + head)
 
-    assert cut.counts == whole.counts
+    assert cut.counts == scanned(writer, writer.data).counts
 
 
 def test_messages_lost_by_the_link_are_counted_by_sequence(opened):
@@ -286,9 +291,7 @@ def test_messages_lost_by_the_link_are_counted_by_sequence(opened):
     log = opened(writer.data)
     assert log.lost_messages == 8
     assert entry_in(log, "LOG-LINK-LOSS").kind == "finding"
-    mavlink_map = writer.library.mavlink_map
-    extras = {number: kind.crc_extra for number, kind in mavlink_map.items()}
-    assert Scan(view_of_bytes(writer.data), extras, {}).lost[(255, 190)] == 0
+    assert scanned(writer, writer.data).lost[(255, 190)] == 0
 
 
 @pytest.mark.parametrize(
