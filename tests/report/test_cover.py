@@ -66,6 +66,14 @@ def test_a_day_that_is_another_one_here(flown):
     rows = cover_rows(manifest_of(manifest), flown)
     assert "unknown" in rows["Flown"]
 
+    manifest["config"]["mission"]["date"] = "2025-06-12"
+    rows = cover_rows(manifest_of(manifest), flown)
+    assert rows["Flown"] == "2025-06-12 (stated)"
+
+    manifest["config"]["stations"] = {"orientation": {"date": "2025-06-13T09:30"}}
+    rows = cover_rows(manifest_of(manifest), flown)
+    assert rows["Flown"] == "2025-06-13T09:30 (stated)"
+
 
 def test_the_time_of_processing_has_its_zone():
     """2026-07-01 is summer time in Zurich, two hours ahead."""

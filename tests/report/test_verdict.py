@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from unbend.report.summary import next_steps, outcome, remarks
+from unbend.stages.messages import flight_of_unknown_hour
 
 from .manifests import manifest_of
 
@@ -173,12 +174,26 @@ def test_the_unknown_part_of_a_typical_lens_is_said_where_it_can_be_measured(bas
     size = {"lens_ppm": -157.0, "lens_sigma_ppm": 39.25, "lens_height_m": 0.48}
     camera |= {"lens_removed": True, "lens_edge_px": 0.201} | size
     assert remarks_of(manifest) == [
-        "The air in the lens of nadir was removed as that of a typical lens; its unknown part is "
-        "39 ppm of the principal distance (1 sigma), 12 cm of height."
+        "A part of this is the air in the lens of nadir, as in a typical lens: 157 ± 39 ppm of "
+        "the principal distance, 0.2 px outward at the edge of the image; its unknown part is "
+        "12 cm of height (1 sigma)."
     ]
+    camera["lens_ppm"] = 157.0
+    assert "0.2 px inward" in remarks_of(manifest)[0]
     assert any("state dc_dp_px_per_hpa" in step for step in steps_of(manifest))
+    camera["lens_ppm"] = -157.0
     camera["lens_edge_px"] = 0.199
     assert remarks_of(manifest) == []
+
+
+def test_the_hour_of_the_flight_is_asked_for_where_it_is_unknown(baseline):
+    manifest = baseline.manifest()
+    assert not any("State the time" in step for step in steps_of(manifest))
+    message = flight_of_unknown_hour(where="mission.date", date="2025-06-12")
+    manifest["ledger"].append(message.row())
+    assert "State the time of the flight too (mission.date): the air is more certain." in steps_of(
+        manifest
+    )
 
 
 def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):

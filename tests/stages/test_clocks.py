@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from tests.helpers import codes_of
+from tests.helpers import codes_of, entry_of
 from tests.stages.corrected_rows import shift
 from tests.stages.dataflash_records import records, write_value
 from unbend.flight.station_builder import ClockSigmas
@@ -50,6 +50,10 @@ def test_without_a_date_no_season_is_assumed(mission_factory, tmp_path):
         codes[name] = codes_of(mission.run_to_manifest(3))
     assert "FLIGHT-UNDATED" not in codes["dated"] | codes["stated"]
     assert codes["undated"] >= {"FLIGHT-UNDATED", "TIME-NO-UTC"}
+    assert "FLIGHT-HOUR" in codes["stated"] - codes["dated"]
+    hour = entry_of(missions["stated"].manifest(), "FLIGHT-HOUR")
+    assert hour["where"] == "mission.date"
+    assert "2025-06-12T10:20" in hour["what"]
 
     undated = missions["undated"]
     assert undated.manifest()["flight"]["begin_utc"] is None

@@ -338,7 +338,7 @@ def check_workers(
             raise messages.files_not_seen(worker=worker, first=missing[0], count=len(missing))
 
 
-def has_left(client: Any, worker: str) -> bool:
+def has_left(client: Client, worker: str) -> bool:
     """Whether the scheduler no longer has a worker, or loses it within some seconds."""
     limit = time.monotonic() + _LEAVE_S
     while worker in within(_CHECK_S, client.nthreads):

@@ -455,7 +455,7 @@ LOG_DROPOUT = Code(
     means="The logger could not keep up: it dropped messages, and counted them.",
     effect=(
         "The log is incomplete. Exposures without a position or an attitude near them are flagged "
-        "(in_gap), the others are as good as ever. A run ends with exit code 3 until it is "
+        "(in_gap), the others are not affected. A run ends with exit code 3 until it is "
         "accepted."
     ),
     remedy=(

@@ -33,7 +33,8 @@ def flown_on(manifest: Manifest) -> str:
     """The day and the times of the first and last exposure, in the stated time zone and in UTC."""
     flight = manifest.results.flight
     if not flight.begin_utc or not flight.end_utc:
-        return "unknown: the exposures have no UTC"
+        date = stated_date(manifest)
+        return "unknown: the exposures have no UTC" if date is None else f"{date} (stated)"
     begin = datetime.fromisoformat(flight.begin_utc)
     end = datetime.fromisoformat(flight.end_utc)
     zone = manifest.sections.mission.time_zone
@@ -42,6 +43,12 @@ def flown_on(manifest: Manifest) -> str:
         return in_utc
     local = ZoneInfo(zone)
     return f"{span(begin.astimezone(local), end.astimezone(local))} {zone} ({in_utc})"
+
+
+def stated_date(manifest: Manifest) -> str | None:
+    """The date that the mission file states of the orientations, else of the mission."""
+    orientation = manifest.sections.stations.orientation or {}
+    return orientation.get("date") or manifest.sections.mission.date
 
 
 def span(begin: datetime, end: datetime) -> str:

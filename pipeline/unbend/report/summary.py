@@ -10,9 +10,16 @@ from typing import Any
 from unbend.messages import MessageRecord
 from unbend.report.cabin_steps import cabin_step
 from unbend.report.concerns import concerns_of
+from unbend.report.lens_sentences import (
+    SMALLEST_MEASURABLE_PX,
+    lens_left_in,
+    lens_step,
+    limits_of_lenses,
+    typical_lenses,
+    uncorrected_lenses,
+)
 from unbend.report.words import count, length, pixels, shortened, significant, with_sigma
 from unbend.tables.manifest.results import (
-    CameraAirRecord,
     CameraShifts,
     CorrectionRecord,
     DistributionRecord,
@@ -27,9 +34,6 @@ Metres = Sequence[float | None]
 
 LARGEST_CABIN_SHARE = 0.02
 """From this standard deviation on, as a share of R, the air in the cabin is in the verdict."""
-
-SMALLEST_MEASURABLE_PX = 0.05
-"""A correction that stays below it everywhere cannot be seen in image measurements."""
 
 _NEARLY_ALL = 0.9
 _UNMEASURED = {
@@ -52,47 +56,6 @@ def verdict(manifest: Manifest) -> str:
 def is_nothing_done(manifest: Manifest) -> bool:
     """Whether no observation was corrected."""
     return not manifest.results.correction.shift_px.count
-
-
-def lens_left_in(results: ResultsRecord) -> str:
-    """What the air in lenses leaves in the coordinates, in a sentence.
-
-    Empty where the mission file states the air of the calibration, and where nobody can measure it.
-    """
-    left = uncorrected_lenses(results)
-    if not left:
-        return ""
-    largest = max(left.values(), key=lambda lens: abs(lens.lens_ppm))
-    size = with_sigma(abs(largest.lens_ppm), largest.lens_sigma_ppm)
-    of_height = ""
-    if largest.lens_height_m is not None:
-        of_height = f", {length(largest.lens_height_m)} of height"
-    if any(not lens.calibrated_in_flight for lens in left.values()):
-        since = "compared with a calibration at 20 °C and 1013 hPa"
-    else:
-        since = "unless the calibration was flown at this height"
-    return (
-        f"Not corrected for the air in the lens of {', '.join(left)}: about {size} ppm of the "
-        f"principal distance{of_height}, {since}."
-    )
-
-
-def uncorrected_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
-    """The cameras whose air in the lens is not removed, where that can be measured."""
-    left = {}
-    for name, camera in results.air_at_cameras.items():
-        if not camera.lens_removed and camera.lens_edge_px >= SMALLEST_MEASURABLE_PX:
-            left[name] = camera
-    return left
-
-
-def typical_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
-    """The cameras whose air in the lens is removed as that of a typical lens, of some sigma."""
-    typical = {}
-    for name, camera in results.air_at_cameras.items():
-        if camera.lens_removed and camera.lens_sigma_ppm:
-            typical[name] = camera
-    return typical
 
 
 def outcome(manifest: Manifest) -> str:
@@ -182,6 +145,7 @@ def next_steps(manifest: Manifest) -> list[str]:
             f"({flagged(manifest)}); the ledger names the causes."
         )
     steps += [step for _, step in _limits(manifest)]
+    steps += _step_to_known_hour(manifest)
     if left := uncorrected_lenses(manifest.results):
         keys = ", ".join(f"cameras.{name}" for name in left)
         steps.append(
@@ -235,35 +199,16 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
         limits.append(_limit_of_cabin(manifest, cabin))
     else:
-        limits += _limits_of_lenses(manifest.results)
+        limits += limits_of_lenses(manifest.results)
     return limits
 
 
-def _limits_of_lenses(results: ResultsRecord) -> list[tuple[str, str]]:
-    """What lenses that are corrected as typical ones leave uncertain, where it can be measured."""
-    lenses = typical_lenses(results)
-    if not lenses:
-        return []
-    largest = max(lenses.values(), key=_sigma_at_the_edge_px)
-    if _sigma_at_the_edge_px(largest) < SMALLEST_MEASURABLE_PX:
-        return []
-    sigma_ppm = largest.lens_sigma_ppm or 0.0
-    of_height = ""
-    if largest.lens_height_m is not None:
-        share = sigma_ppm / abs(largest.lens_ppm)
-        of_height = f", {length(share * largest.lens_height_m)} of height"
-    text = (
-        f"The air in the lens of {', '.join(lenses)} was removed as that of a typical lens; its "
-        f"unknown part is {sigma_ppm:.2g} ppm of the principal distance (1 sigma){of_height}."
-    )
-    return [(text, lens_step(lenses))]
-
-
-def _sigma_at_the_edge_px(camera: CameraAirRecord) -> float:
-    """The standard deviation [px] of the lens's effect at the edge of the image."""
-    if not camera.lens_ppm or camera.lens_sigma_ppm is None:
-        return 0.0
-    return camera.lens_edge_px * camera.lens_sigma_ppm / abs(camera.lens_ppm)
+def _step_to_known_hour(manifest: Manifest) -> list[str]:
+    """To state the hour of a flight whose day alone is known."""
+    for entry in manifest.results.ledger:
+        if entry.code == "FLIGHT-HOUR":
+            return [f"State the time of the flight too ({entry.where}): the air is more certain."]
+    return []
 
 
 def _limit_of_cabin(manifest: Manifest, share: float) -> tuple[str, str]:
@@ -286,15 +231,6 @@ def _limit_of_cabin(manifest: Manifest, share: float) -> tuple[str, str]:
         text += " only" if share > air.scale_sigma else ""
     step = lens_step(lenses) if lenses else cabin_step(manifest)
     return f"{text}.", step
-
-
-def lens_step(lenses: Iterable[str]) -> str:
-    """What to state of lenses that are corrected as typical ones, whose part is the largest."""
-    keys = ", ".join(f"cameras.{name}.principal_distance" for name in lenses)
-    return (
-        "If the change of the lens by the air was measured, state dc_dp_px_per_hpa and "
-        f"dc_dt_px_per_k ({keys})."
-    )
 
 
 def step_to_better_air(manifest: Manifest) -> str:
@@ -320,7 +256,7 @@ def control_sentence(manifest: Manifest) -> str:
     moved = millimetres_apart(control.rms_refraction_m)
     text = (
         f"{control.used} control points, intersected with fixed stations: RMS of east/north/"
-        f"up {before} m as measured, {after} m corrected; refraction moves them by {moved} m"
+        f"up {before} m as measured, {after} m corrected; the corrections move them by {moved} m"
     )
     if control.part_explained > 0.0:
         percent = 100.0 * control.part_explained

@@ -18,6 +18,7 @@ from unbend.report.console import (
     print_rows,
     shown,
 )
+from unbend.report.lens_sentences import lens_left_in
 from unbend.report.summary import flagged, next_steps, remarks, verdict
 from unbend.report.words import count, shortened
 from unbend.tables.manifest.results import ResultsRecord
@@ -138,7 +139,7 @@ def print_check(
     """
     verdict = "a run would end with code 3" if results.exit_code else "can be run"
     console.print(f"[bold]{shown(name)}[/bold] {verdict}")
-    lens = summary.lens_left_in(results)
+    lens = lens_left_in(results)
     if lens:
         print_indented(console, shown(lens))
     print_labelled(console, lines)

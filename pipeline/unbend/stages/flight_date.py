@@ -26,8 +26,12 @@ def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int 
     stated_ns = nanoseconds_of_date(stated_date(mission))
     flown_ns = middle_time_ns(stations.utc_ns)
     if flown_ns is None:
-        if stated_ns is None and mission.atmosphere.adjust:
-            ledger.add(messages.flight_undated())
+        if mission.atmosphere.adjust:
+            date = stated_date(mission)
+            if date is None:
+                ledger.add(messages.flight_undated())
+            elif is_day_alone(date):
+                ledger.add(messages.flight_of_unknown_hour(where=key_of_date(mission), date=date))
         return stated_ns
     if stated_ns is not None and abs(flown_ns - stated_ns) > FARTHEST_FROM_DATE_NS:
         ledger.add(
@@ -45,6 +49,14 @@ def stated_date(mission: Mission) -> str | None:
     if orientation is not None and orientation.date is not None:
         return orientation.date
     return mission.mission.date
+
+
+def key_of_date(mission: Mission) -> str:
+    """The key of `stated_date`."""
+    orientation = mission.stations.orientation
+    if orientation is not None and orientation.date is not None:
+        return "stations.orientation.date"
+    return "mission.date"
 
 
 def flight_hour(mission: Mission, stations: Stations, flight_ns: int | None) -> float | None:

@@ -456,6 +456,28 @@ def flight_undated() -> Message:
     )
 
 
+FLIGHT_HOUR = Code(
+    "FLIGHT-HOUR",
+    means="The date of the flight is stated without the time of the day, and the log has no UTC.",
+    effect=(
+        "The daily cycle of the air is a part of its uncertainty: the sigma of the air is larger, "
+        "also with a METAR of the right hour."
+    ),
+    remedy="Write the time too, in UTC: 2026-05-14T10:20. An hour more or less does not matter.",
+)
+
+
+def flight_of_unknown_hour(*, where: str, date: str) -> Message:
+    """The day of a flight is known, and its hour is not."""
+    return note(
+        FLIGHT_HOUR,
+        "the hour of the flight is unknown, which makes the air less certain: write the time in "
+        "UTC too, as {date}T10:20",
+        where=where,
+        date=date,
+    )
+
+
 def sources_of_undated_flight(*, where: str) -> InputError:
     """Soundings or reports are named, and the day of the flight is not known."""
     return InputError(

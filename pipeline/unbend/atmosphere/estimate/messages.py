@@ -354,11 +354,14 @@ def air_misfit(*, where: str, count: int, quantity: str, rms: float, inflation: 
 
 AIR_NO_BAROMETER = Code(
     "AIR-NO-BAROMETER",
-    means="The log has no usable static pressure outside.",
+    means="No log gives a usable static pressure of the air outside.",
     effect=(
         "The level of the pressure is taken from a sounding, a weather station or the climatology."
     ),
-    remedy="Name a barometer under log.channels.pressure, or add a surface report.",
+    remedy=(
+        "Name a barometer under log.channels.pressure. Without one, a report of a weather station "
+        "near the flight is the best."
+    ),
 )
 
 

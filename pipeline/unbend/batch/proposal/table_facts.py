@@ -123,7 +123,19 @@ def facts_of_table(path: Path) -> TableFacts:
     for quantity, name in guessed.items():
         # No name is guessed if the columns cannot be listed; `open_observations` says why.
         columns[quantity] = name or quantity
-    candidates = height_candidates(names, columns)
+    return facts_of_columns(path, columns, keys, height_candidates(names, columns))
+
+
+def facts_of_columns(
+    path: Path,
+    columns: dict[str, str | None],
+    keys: tuple[Proposed, ...],
+    candidates: list[str],
+) -> TableFacts:
+    """Read a table whose ``columns`` are known; ``candidates`` may have the heights of the points.
+
+    ``keys`` are those of the columns in the mission file.
+    """
     height = candidates[0] if len(candidates) == 1 else None
     observations = open_observations(path, columns, height, Ledger())
     extent = extent_of(observations)

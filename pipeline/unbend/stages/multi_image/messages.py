@@ -750,8 +750,8 @@ def control_noise(*, where: str, count: int, of: str, noise: float, effect: floa
     return warning(
         CONTROL_NOISE,
         (
-            "{of} by {noise:.3g} m, and refraction moves them by {effect:.3g} m: no single point "
-            "shows the effect of the correction"
+            "{of} by {noise:.3g} m, and the corrections move them by {effect:.3g} m: no single "
+            "point shows the effect of the correction"
         ),
         where=where,
         count=count,

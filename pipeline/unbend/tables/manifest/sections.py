@@ -47,9 +47,10 @@ class RefractionKeys:
 
 @dataclass(frozen=True)
 class StationsKeys:
-    """Whether suspect stations are used."""
+    """Whether suspect stations are used, and the orientations, if there are any."""
 
     use_suspect: bool
+    orientation: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class MissionKeys:
     operator: str | None = None
     remarks: str | None = None
     time_zone: str | None = None
+    date: str | None = None
 
 
 @dataclass(frozen=True)
