@@ -419,6 +419,24 @@ def test_a_block_whose_points_are_mostly_of_one_image_is_a_warning(block, name):
     assert "observations.columns.point" in single.what
 
 
+def test_bundler_names_the_principal_distances_that_the_images_have(block):
+    """The air in the lens is removed from the points, and is still in the images."""
+    run = block.run()
+    nadir_alone = np.where(run.stations.camera == "nadir", -2.0, 0.0)
+    exposures = replace(run.exposures, principal_change_px=nadir_alone)
+
+    exported = write_export(replace(run, exposures=exposures), "bundler")
+
+    calibrations = read_json(exported.path / "calibration.json")
+    taken_with = calibrations["nadir"]["taken_with"]
+    assert taken_with["fx_px"] == pytest.approx(NADIR.fx_px - 2.0, abs=1e-9)
+    ratio = NADIR.fy_px / NADIR.fx_px
+    assert taken_with["fy_px"] == pytest.approx(NADIR.fy_px - 2.0 * ratio, abs=1e-9)
+    assert taken_with["lens_change_ppm"] == pytest.approx(-2e6 / NADIR.fx_px)
+    assert calibrations["nadir"]["written"]["f_px"] == NADIR.fx_px
+    assert calibrations["side"]["taken_with"]["lens_change_ppm"] == 0.0
+
+
 def test_bundler_has_the_calibrations_beside(block, written):
     calibrations = read_json(written("bundler").path / "calibration.json")
 
@@ -426,6 +444,7 @@ def test_bundler_has_the_calibrations_beside(block, written):
     nadir = calibrations["nadir"]
     assert nadir["taken_with"]["distortion"]["k1"] == -0.018
     assert nadir["taken_with"]["cx_px"] == NADIR.cx_px
+    assert nadir["taken_with"]["fx_px"] == NADIR.fx_px
     assert nadir["written"] == {
         "f_px": 20000.0,
         "k1": 0.0,

@@ -4,8 +4,8 @@ Image points count from the image's centre, x to the right, y up, in pixels; cam
 Bundler has a focal length f, k1 and k2, and no principal point. So the points are those of an ideal
 camera, f the principal distance along x, the principal point in the middle and k1 = k2 = 0: that
 holds every distortion. ``calibration.json`` beside it has the ideal camera and the one that the
-images were taken with. Where a program counts its pixels from drops out: the middle is (w/2, h/2)
-of COLMAP's. Points that were measured in one image only are left out.
+images were taken with, the air in its lens included. Where a program counts its pixels from drops
+out: the middle is (w/2, h/2) of COLMAP's. Points that were measured in one image only are left out.
 """
 
 import json
@@ -36,6 +36,8 @@ from unbend.tables.exports.exported_block import (
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 from unbend.units import Array, Integers
 
+PPM = 1e-6
+
 
 def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
     """bundle.out (v0.3), list.txt with the images in its order, calibration.json."""
@@ -55,7 +57,9 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     calibrations = {}
     for number, (name, camera) in enumerate(block.cameras.items()):
         images = block.image[block.camera == number].tolist()
-        calibrations[name] = _calibration(camera, images)
+        changes_px = run.exposures.changes_px[run.rows_of(name)]
+        lens_change = float(np.median(changes_px)) / camera.fx_px
+        calibrations[name] = _calibration(camera, images, lens_change)
     text = json.dumps(calibrations, indent=1) + "\n"
     (folder / "calibration.json").write_text(text, encoding="utf-8")
     return written
@@ -117,9 +121,16 @@ def _lines_of_points(
         yield f"{place}\n128 128 128\n{len(views)} {' '.join(views)}\n"
 
 
-def _calibration(camera: Camera, images: list[str]) -> dict[str, Any]:
-    """The ideal camera that is written, and the one that the images were taken with."""
+def _calibration(camera: Camera, images: list[str], lens_change: float) -> dict[str, Any]:
+    """The ideal camera that is written, and the one that the images were taken with.
+
+    ``lens_change`` is what the air in the lens adds to the calibrated principal distance, as a part
+    of it; where the run removed it, the images still have it.
+    """
     taken_with = {key: getattr(camera, key) for key in camera.__dataclass_fields__}
+    for key in ("fx_px", "fy_px"):
+        taken_with[key] *= 1.0 + lens_change
+    taken_with["lens_change_ppm"] = lens_change / PPM
     taken_with["model"] = model_of(type(camera.distortion)).__name__.rpartition(".")[2]
     taken_with["distortion"] = camera.distortion._asdict()
     taken_with["pixel_origin"] = "corner"
