@@ -324,11 +324,12 @@ def check_workers(
     ask = partial(run_beside, command, question)
     reports = answers_of_workers(client, workers, _CHECK_S, ask)
     for worker in workers:
-        if worker not in reports:
+        has_no_answer = worker not in reports or isinstance(reports[worker], OSError)
+        if has_no_answer and has_left(client, worker):
+            reports.pop(worker, None)
+        elif worker not in reports:
             raise messages.worker_silent(worker=worker, seconds=_CHECK_S)
     for worker, report in sorted(reports.items()):
-        if isinstance(report, OSError) and has_left(client, worker):
-            continue
         if not isinstance(report, tuple):  # `about_worker` failed; the last line says why
             text = report.traceback if isinstance(report, Bug) else str(report)
             raise messages.worker_unable(worker=worker, error=text.strip().split("\n")[-1])

@@ -136,6 +136,7 @@ Pincushion distortions of real lenses are below 1.3; barrel distortions shorten 
 """
 
 _BORDER_POINTS = 9  # on each border of the image, both corners counted
+_SLACK_PX = 1.0  # a principal point may lie on the border
 
 # Where a distortion is looked at: circles about the principal point, and directions from there.
 _CIRCLES = 200
@@ -205,7 +206,8 @@ def _refuse_large_distortion(camera: Camera) -> None:
         distorted_x, distorted_y = camera.project(u, v)
         distance_px = np.hypot(x - camera.cx_px, y - camera.cy_px)
         distorted_px = np.hypot(distorted_x - camera.cx_px, distorted_y - camera.cy_px)
-        is_large = ~(distorted_px <= LARGEST_STRETCH * distance_px) & covered
+        largest_px = LARGEST_STRETCH * distance_px + _SLACK_PX
+        is_large = ~(distorted_px <= largest_px) & covered
     if is_large.any():
         first = is_large.argmax()
         raise messages.camera_distortion(
