@@ -174,9 +174,9 @@ def test_the_unknown_part_of_a_typical_lens_is_said_where_it_can_be_measured(bas
     size = {"lens_ppm": -157.0, "lens_sigma_ppm": 39.25, "lens_height_m": 0.48}
     camera |= {"lens_removed": True, "lens_edge_px": 0.201} | size
     assert remarks_of(manifest) == [
-        "A part of this is the air in the lens of nadir, as in a typical lens: 157 ± 39 ppm of "
-        "the principal distance, 0.2 px outward at the edge of the image; its unknown part is "
-        "12 cm of height (1 sigma)."
+        "The corrections contain the air in the lens of nadir, as in a typical lens: "
+        "157 ± 39 ppm of the principal distance, 0.2 px outward at the edge of the image; its "
+        "unknown part is 12 cm of height (1 sigma)."
     ]
     camera["lens_ppm"] = 157.0
     assert "0.2 px inward" in remarks_of(manifest)[0]

@@ -65,9 +65,9 @@ def limits_of_lenses(results: ResultsRecord) -> list[tuple[str, str]]:
         share = (largest.lens_sigma_ppm or 0.0) / abs(largest.lens_ppm)
         of_height = f"; its unknown part is {length(share * largest.lens_height_m)} of height"
     text = (
-        f"A part of this is the air in the lens of {', '.join(lenses)}, as in a typical lens: "
-        f"{size} of the principal distance, {pixels(largest.lens_edge_px)} {direction} at the edge "
-        f"of the image{of_height} (1 sigma)."
+        f"The corrections contain the air in the lens of {', '.join(lenses)}, as in a typical "
+        f"lens: {size} of the principal distance, {pixels(largest.lens_edge_px)} {direction} at "
+        f"the edge of the image{of_height} (1 sigma)."
     )
     return [(text, lens_step(lenses))]
 

@@ -198,7 +198,7 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     cabin = manifest.results.cabin_sigma_share.median
     if cabin is not None and cabin > LARGEST_CABIN_SHARE:
         limits.append(_limit_of_cabin(manifest, cabin))
-    else:
+    elif not is_applied(manifest):
         limits += limits_of_lenses(manifest.results)
     return limits
 

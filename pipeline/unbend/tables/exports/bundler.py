@@ -57,9 +57,7 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
     calibrations = {}
     for number, (name, camera) in enumerate(block.cameras.items()):
         images = block.image[block.camera == number].tolist()
-        changes_px = run.exposures.changes_px[run.rows_of(name)]
-        lens_change = float(np.median(changes_px)) / camera.fx_px
-        calibrations[name] = _calibration(camera, images, lens_change)
+        calibrations[name] = _calibration(camera, images, _lens_change(run, name))
     text = json.dumps(calibrations, indent=1) + "\n"
     (folder / "calibration.json").write_text(text, encoding="utf-8")
     return written
@@ -119,6 +117,14 @@ def _lines_of_points(
                 views.append(f"{images[k]} {place_in_image[k]} {x!s} {y!s}")
         place = " ".join(map(str, block.point_m[point]))
         yield f"{place}\n128 128 128\n{len(views)} {' '.join(views)}\n"
+
+
+def _lens_change(run: FinishedRun, name: str) -> float:
+    """The median change of a camera's principal distance by the air in its lens, a part of it."""
+    changes_px = run.exposures.changes_px[run.rows_of(name)]
+    if not changes_px.size:
+        return 0.0
+    return float(np.median(changes_px)) / run.cameras[name].camera.fx_px
 
 
 def _calibration(camera: Camera, images: list[str], lens_change: float) -> dict[str, Any]:
