@@ -97,6 +97,10 @@ def test_a_worker_of_dask_does_not_wait_for_its_suspended_process(impatient):
     assert "SIGSTOP" in end.how
 
 
+def test_a_signal_without_a_name_is_told_by_its_number():
+    assert processes.way_of_death(-999) == "killed by signal 999"
+
+
 # ---- locks
 
 

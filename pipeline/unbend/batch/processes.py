@@ -204,10 +204,18 @@ def way_of_death(code: int | None, *, was_suspended: bool = False) -> str:
     if code is None:
         return "it ended without an exit code"
     if code < 0:
-        return f"killed by {signal.Signals(-code).name}"
+        return f"killed by {_name_of_signal(-code)}"
     if code < 256:
         return f"exit code {code}"
     return f"exit code 0x{code:08X}"
+
+
+def _name_of_signal(number: int) -> str:
+    """The name of a signal; most real-time signals have only a number."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
 
 
 Done = tuple[MissionProcess, "MissionRef", Future[TaskEnd]]
