@@ -29,7 +29,8 @@ from unbend.batch.waiting import within
 from unbend.config.campaign import MissionRef
 
 linux = pytest.mark.skipif(
-    not Path("/proc/self/stat").exists(), reason="the system does not say which process is suspended"
+    not Path("/proc/self/stat").exists(),
+    reason="the system does not say which process is suspended",
 )
 pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no named pipes")
 

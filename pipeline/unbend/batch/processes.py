@@ -97,7 +97,7 @@ class MissionProcess:
             return Bug(f"{type(error).__name__}: {error}")
 
     def kill_if_suspended(self) -> None:
-        """Kill the process if it is suspended (SIGSTOP) at this look and all `MOST_LOOKS` of late."""
+        """Look whether the process is suspended (SIGSTOP); kill it after `MOST_LOOKS` in a row."""
         if self._process is None or not is_suspended(self._process.pid):
             self._looks_suspended = 0
             return

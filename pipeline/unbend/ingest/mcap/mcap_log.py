@@ -141,7 +141,7 @@ def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
     is_boot = np.zeros(starts.shape, np.bool_)
     if starts.size:
         for samples in series:
-            if samples.counted:
+            if samples.from_integer:
                 is_boot |= _steps_back_at(line, starts, samples)
     marks = np.zeros(line.boot.shape, np.int16)
     marks[starts] = is_boot
@@ -254,19 +254,19 @@ def _refuse_undecoded(reader: McapReader, name: str) -> None:
 
 
 def _tables_of(topic: topics.Topic, clock: BootClock) -> Iterator[Table]:
-    """A table of the messages that count time from a boot, and one of the others.
+    """A table of the messages whose times were integers (see `OwnTimes`), and one of the others.
 
     The blocks of the topic are removed, so that memory does not hold them twice.
     """
-    for counted in (False, True):
-        blocks = topic.blocks[counted]
-        topic.blocks[counted] = []
+    for from_integer in (False, True):
+        blocks = topic.blocks[from_integer]
+        topic.blocks[from_integer] = []
         if not blocks:
             continue
         block = in_order(blocks)
         del block[SEQUENCE]
         log_ns = block.pop(LOG_TIME)
-        places = block[PLACE] if counted else None
+        places = block[PLACE] if from_integer else None
         times = times_of(block.pop(STAMP), log_ns, places, clock, ledger=Ledger(), topic=topic.name)
         table: Table = {"time_ns": times.time_ns, "boot": times.boot, "log_time_ns": log_ns}
         yield table | block
