@@ -1,4 +1,4 @@
-"""What the system says of other processes: which is suspended, and which holds a lock. Linux does."""
+"""What Linux says of other processes: which is suspended, and which holds a lock."""
 
 import os
 from pathlib import Path

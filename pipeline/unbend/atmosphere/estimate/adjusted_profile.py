@@ -420,7 +420,11 @@ def unadjusted(standard: Profile, reason: str) -> Adjustment:
 
 
 def _notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
-    """Substitutes, estimated sensor faults, readings that do not fit, and outliers."""
+    """What the profile lacks, and which readings it departs from.
+
+    That is what replaces a missing thermometer or hygrometer, a failed convergence, sensor faults
+    that the flight determined, readings that do not fit, and outliers.
+    """
     if candidate.basis == "barometer":
         where = candidate.main.name if candidate.main else ""
         yield messages.air_barometric(where=where, sources=candidate.reason)

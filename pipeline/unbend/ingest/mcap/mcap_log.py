@@ -75,10 +75,10 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
 def compare_with_recorder(
     channels: Sequence[Channel], recorded_ns: int | None, ledger: Ledger
 ) -> None:
-    """Report stamps that are more than a minute from log_time; ``recorded_ns`` is the first one.
+    """Report it if the first stamp is more than a minute from the first log_time, ``recorded_ns``.
 
-    Stamps and log_time are of clocks of computers, and neither clock need be right. Dates that no
-    log can have are judged elsewhere.
+    That is in Unix ns, None if unknown. Stamps and log_time are of clocks of computers, and neither
+    clock need be right. Dates that no log can have are judged elsewhere.
     """
     begins_ns = [int(channel.time_ns[0]) for channel in channels if len(channel)]
     if recorded_ns is None or not begins_ns or not is_possible(min(begins_ns)):
