@@ -427,7 +427,7 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
     """
     if candidate.basis == "barometer":
         where = candidate.main.name if candidate.main else ""
-        yield messages.air_barometric(where=where, sources=candidate.reason)
+        yield messages.air_barometric(where=where, reason=candidate.reason)
     if not any(isinstance(readings, sensors.Humidities) for readings in made.readings.sets):
         yield messages.air_humidity_expected()
     if not made.converged:

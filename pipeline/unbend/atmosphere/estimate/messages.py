@@ -61,9 +61,9 @@ AIR_BAROMETRIC = Code(
 )
 
 
-def air_barometric(*, where: str, sources: str) -> Message:
+def air_barometric(*, where: str, reason: str) -> Message:
     """Temperatures follow from the fall of pressure with height."""
-    return fallback(AIR_BAROMETRIC, "{sources}", where=where, sources=sources)
+    return fallback(AIR_BAROMETRIC, "{reason}", where=where, reason=reason)
 
 
 AIR_CALIBRATED = Code(

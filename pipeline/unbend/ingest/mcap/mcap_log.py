@@ -204,7 +204,7 @@ def boot_clock_of(
             cameras.append(replace(readings, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY))
     utc_of = "GNSS message with a fix and no log_time"
     clock = fit_clock(
-        line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of, witnesses=witnesses
+        line, receivers, ledger, recorder, fallbacks=cameras, utc_of=utc_of, witnesses=witnesses
     )
     for number, fit in enumerate(clock.fits):
         if fit is not None and not clock.utc_known[number]:
