@@ -1,4 +1,4 @@
-"""What the flight room says: its codes, and one function for each message and refusal."""
+"""What the flight package says: its codes, and one function for each message and refusal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

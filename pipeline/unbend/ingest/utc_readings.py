@@ -168,7 +168,10 @@ class DateCheck:
 def possible_recorder(
     recorder: UtcReadings, line: Timeline, where: str, ledger: Ledger
 ) -> UtcReadings:
-    """The rows of a recorder in the boots in which its date is possible."""
+    """The rows of a recorder in the boots in which its date is possible.
+
+    ``recorder`` must hold usable rows only. Each boot that is left out is noted.
+    """
     boots = line.boot_of(recorder.places)
     keep = np.ones(boots.shape, np.bool_)
     for number in np.unique(boots).tolist():
