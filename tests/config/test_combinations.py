@@ -116,6 +116,10 @@ def test_the_missions_that_are_spoilt_are_sound(load, base):
             "cameras.nadir.format: colmap",
             "cameras.nadir: format needs file",
         ),
+        (
+            "cameras.nadir: {file: cameras.json, pixel_origin: centre}",
+            "cameras.nadir: pixel_origin cannot be combined with file",
+        ),
         ("cameras.nadir.camera: 1", "cameras.<name>.camera needs file, or a block"),
         (
             METRIC_TABLE,

@@ -64,11 +64,10 @@ def read_images(path: Path) -> OrientationTable:
     """The images with the orientations of the report."""
     report_name = _root(path).findtext("output/files/report/file")
     cameras = read_cameras(path)
-    if report_name is None or len(cameras) != 1:
-        raise messages.dbat_cameras(
-            where=path,
-            cameras=len(cameras),
-        )
+    if report_name is None:
+        raise messages.dbat_without_report(where=path)
+    if len(cameras) != 1:
+        raise messages.dbat_cameras(where=path, cameras=len(cameras))
     orientation_of_photo = _orientation_of_photos(_beside(path, report_name))
     orientation = np.array([*orientation_of_photo.values()])
     orientation = orientation.reshape(-1, NUMBERS_OF_PHOTO)
