@@ -117,7 +117,7 @@ def test_the_missions_that_are_spoilt_are_sound(load, base):
             "cameras.nadir: format needs file",
         ),
         (
-            "cameras.nadir: {file: cameras.json, pixel_origin: centre}",
+            "cameras.nadir: {file: c.json, pixel_origin: centre, calibration: laboratory}",
             "cameras.nadir: pixel_origin cannot be combined with file",
         ),
         ("cameras.nadir.camera: 1", "cameras.<name>.camera needs file, or a block"),
