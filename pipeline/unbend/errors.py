@@ -85,7 +85,7 @@ class UnbendError(Exception):
 
     ``text`` and ``remedy`` hold the names of ``values``, ``where`` and ``count`` in braces; ``one``
     is the text for a count of 1, where that is another. Made by the functions of ``messages.py``
-    in each room.
+    in each package.
 
     >>> empty = Code("LOG-EMPTY", means="A log has no bytes.", effect="None.", remedy="Copy it.")
     >>> print(LogError(empty, "the file has {n} bytes", where="a.bin", remedy="copy it again", n=0))

@@ -1,8 +1,8 @@
 """Messages: what every stage read, repaired, assumed, skipped and lost, and where.
 
 A message is a value: its code, how serious it is, where, how many, and named values. The words
-stand beside those who send it, in ``messages.py`` of each room, one typed function a message; the
-report and the terminal render them. Nothing decides by the words.
+stand beside those who send it, in ``messages.py`` of each package, one typed function a message;
+the report and the terminal render them. Nothing decides by the words.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _known(value: Value) -> Value | None:
 
 
 Notes = tuple[Message, ...]
-"""What a function of a pure room has to report, beside its result."""
+"""What a function of a pure package has to report, beside its result."""
 
 
 def message(

@@ -1,4 +1,4 @@
-"""Nothing waits for ever: stopped processes, held locks, pipes in the place of results."""
+"""Nothing waits for ever: suspended processes, held locks, pipes in the place of results."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,7 +21,7 @@ from unbend.batch import other_processes, processes
 from unbend.batch.campaigns import head_of, is_page_ours
 from unbend.batch.execute import run_many
 from unbend.batch.executors import Bug, Lost, Outcome
-from unbend.batch.other_processes import holder_of, is_stopped
+from unbend.batch.other_processes import holder_of, is_suspended
 from unbend.batch.processes import MissionProcess, Processes, stop_all
 from unbend.batch.store import open_folder, read_manifest, rehearse_folder
 from unbend.batch.unchanged import find_unchanged
@@ -27,41 +29,42 @@ from unbend.batch.waiting import within
 from unbend.config.campaign import MissionRef
 
 linux = pytest.mark.skipif(
-    not Path("/proc/self/stat").exists(), reason="the system does not say which process is stopped"
+    not Path("/proc/self/stat").exists(),
+    reason="the system does not say which process is suspended",
 )
 pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no named pipes")
 
 
 @pytest.fixture
-def impatient(monkeypatch):
+def impatient(monkeypatch) -> None:
     """Looks often, and gives up after a tenth of a second."""
     monkeypatch.setattr(processes, "LOOK_S", 0.05)
     monkeypatch.setattr(processes, "MOST_LOOKS", 2)
 
 
-def stop_once(mark) -> Outcome:
-    """A mission whose process is stopped when it runs for the first time."""
+def suspend_once(mark: Path) -> Outcome:
+    """A mission whose process is suspended when it runs for the first time."""
     if not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGSTOP)
     return Outcome(mark.name, mark, None, 0, False)
 
 
-def stop_always() -> Outcome:
+def suspend_always() -> Outcome:
     os.kill(os.getpid(), signal.SIGSTOP)
     raise AssertionError
 
 
 @linux
-def test_a_stopped_process_costs_its_mission_one_attempt(tmp_path, impatient):
+def test_a_suspended_process_costs_its_mission_one_attempt(tmp_path, impatient):
     """Others go on meanwhile; `run_many` runs it again, as any that is lost."""
-    tasks = {
-        "stopped": partial(stop_once, tmp_path / "stopped"),
-        "other": partial(stop_once, tmp_path),  # which is there: it is not stopped
+    tasks: dict[Any, Any] = {
+        "suspended": partial(suspend_once, tmp_path / "suspended"),
+        "other": partial(suspend_once, tmp_path),  # which is there: it is not suspended
     }
     ends = dict(Processes(2).run(tasks))
     assert isinstance(ends["other"], Outcome)
-    lost = ends["stopped"]
+    lost = ends["suspended"]
     assert isinstance(lost, Lost)
     assert lost.how == "stopped (SIGSTOP) for 0 s, so it was killed"
 
@@ -69,35 +72,41 @@ def test_a_stopped_process_costs_its_mission_one_attempt(tmp_path, impatient):
 @linux
 def test_a_process_that_goes_on_in_time_is_not_killed(impatient):
     process = MissionProcess(1)
-    future = process.submit(partial(time.sleep, 0))
+    future = process.submit(partial(time.sleep, 0))  # type: ignore[arg-type]
     assert process.end(future) is None
+    assert process._process is not None
     number = process._process.pid
+    assert number is not None
     for _ in range(3):
         os.kill(number, signal.SIGSTOP)
-        wait_until(partial(is_stopped, number))
-        process.kill_if_stopped()
+        wait_until(partial(is_suspended, number))
+        process.kill_if_suspended()
         os.kill(number, signal.SIGCONT)
-        process.kill_if_stopped()
-    assert process.end(process.submit(partial(time.sleep, 0))) is None
+        process.kill_if_suspended()
+    assert process.end(process.submit(partial(time.sleep, 0))) is None  # type: ignore[arg-type]
     stop_all([process])
 
 
 @linux
-def test_a_worker_of_dask_does_not_wait_for_its_stopped_process(impatient):
+def test_a_worker_of_dask_does_not_wait_for_its_suspended_process(impatient):
     """It waits for a process by `MissionProcess.end` alone."""
     process = MissionProcess(1)
-    end = process.end(process.submit(stop_always))
+    end = process.end(process.submit(suspend_always))
     stop_all([process])
     assert isinstance(end, Lost)
     assert not isinstance(end, Bug)
     assert "SIGSTOP" in end.how
 
 
+def test_a_signal_without_a_name_is_told_by_its_number():
+    assert processes.way_of_death(-999) == "killed by signal 999"
+
+
 # ---- locks
 
 
 @pytest.fixture
-def holder(tmp_path):
+def holder(tmp_path) -> Iterator[subprocess.Popen[str]]:
     """Another process that holds the lock of a folder of results."""
     code = (
         "import sys, time; from pathlib import Path\n"
@@ -109,6 +118,7 @@ def holder(tmp_path):
         stdout=subprocess.PIPE,
         text=True,
     )
+    assert process.stdout is not None
     assert process.stdout.readline() == "held\n"
     yield process
     process.kill()
@@ -116,12 +126,12 @@ def holder(tmp_path):
 
 
 @linux
-@pytest.mark.parametrize("is_stopped_holder", [False, True], ids=["running", "stopped"])
-def test_a_lock_is_refused_at_once_and_names_who_holds_it(tmp_path, holder, is_stopped_holder):
+@pytest.mark.parametrize("is_holder_suspended", [False, True], ids=["running", "suspended"])
+def test_a_lock_is_refused_at_once_and_names_who_holds_it(tmp_path, holder, is_holder_suspended):
     who = f"{holder.pid} "
-    if is_stopped_holder:
+    if is_holder_suspended:
         holder.send_signal(signal.SIGSTOP)
-        wait_until(partial(is_stopped, holder.pid))
+        wait_until(partial(is_suspended, holder.pid))
         who = f"process {holder.pid}, which is stopped,"
     for attempt in (partial(rehearse_folder, tmp_path), open_folder(tmp_path).__enter__):
         began_s = time.monotonic()
@@ -139,7 +149,7 @@ def test_where_no_holder_is_known_the_lock_is_named(tmp_path, monkeypatch):
         open_folder(results).__enter__()
     refusal.match("perhaps of another machine")
     assert holder_of(tmp_path / "not there") is None
-    assert is_stopped(None) is False
+    assert is_suspended(None) is False
 
 
 # ---- pipes
@@ -168,14 +178,14 @@ def test_a_question_has_a_limit_and_its_errors_are_raised():
     blocked.set()
     assert within(None, blocked.wait) is True
     with pytest.raises(ZeroDivisionError):
-        within(60.0, lambda: 1 // 0)
+        within(60.0, lambda: 1 // 0)  # type: ignore[arg-type]
 
 
-def test_a_stopped_mission_that_stops_again_is_refused_with_the_reason():
-    class Stopping:
-        def run(self, tasks, *, alone=False):
+def test_a_suspended_mission_that_is_suspended_again_is_refused_with_the_reason():
+    class Suspending:
+        def run(self, tasks: Any, *, alone: bool = False) -> Iterator[Any]:
             for mission in tasks:
-                yield mission, Lost(processes.way_of_death(-9, was_stopped=True))
+                yield mission, Lost(processes.way_of_death(-9, was_suspended=True))
 
-    ((_, end),) = run_many(print, [MissionRef(Path("m.yaml"))], Stopping())
+    ((_, end),) = run_many(print, [MissionRef(Path("m.yaml"))], Suspending())  # type: ignore[arg-type]
     assert str(end).count("stopped (SIGSTOP) for 60 s, so it was killed") == 2

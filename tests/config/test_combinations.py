@@ -112,7 +112,11 @@ def test_the_missions_that_are_spoilt_are_sound(load, base):
         ),
         (
             "cameras.nadir.format: colmap",
-            "cameras.nadir: format needs file, and pixel_origin cannot be combined with file",
+            "cameras.nadir: format needs file",
+        ),
+        (
+            "cameras.nadir: {file: c.json, pixel_origin: centre, calibration: laboratory}",
+            "cameras.nadir: pixel_origin cannot be combined with file",
         ),
         ("cameras.nadir.camera: 1", "cameras.<name>.camera needs file, or a block"),
         (

@@ -15,7 +15,7 @@ AIR_AGED = Code(
 
 
 def air_aged(*, hours: float, height_m: float, count: int, km: float = 0.0) -> Message:
-    """Some exposures were made hours after the air at their heights was sampled, or far away."""
+    """The air of ``count`` exposures was sampled up to ``hours`` apart and ``km`` away."""
     far = f", and up to {km:.0f} km from that place" if km > 0.0 else ""
     return note(
         AIR_AGED,
@@ -129,7 +129,7 @@ AIR_WINDOWS = Code(
 
 
 def air_windows(*, hours: float, count: int, sigmas: float, largest: float) -> Message:
-    """Whether the air changed during the flight was tested by estimating it in windows of t."""
+    """The air changed: each exposure gets the air of its window of time."""
     return note(
         AIR_WINDOWS,
         (
@@ -148,7 +148,7 @@ def air_windows(*, hours: float, count: int, sigmas: float, largest: float) -> M
 
 
 def air_windows_none(*, hours: float) -> Message:
-    """Whether the air changed during the flight was tested by estimating it in windows of t."""
+    """One profile is kept: no window has enough information of its own."""
     return note(
         AIR_WINDOWS,
         "one profile for {hours:.1f} h: no part of it has enough information",
@@ -157,7 +157,10 @@ def air_windows_none(*, hours: float) -> Message:
 
 
 def air_windows_one(*, hours: float, total: int, sigmas: float, largest: float) -> Message:
-    """Whether the air changed during the flight was tested by estimating it in windows of t."""
+    """One profile is kept: R changes too little between windows.
+
+    ``largest`` [%]; ``sigmas`` is the RMS.
+    """
     return note(
         AIR_WINDOWS,
         (
@@ -330,7 +333,7 @@ METAR_PARSE = Code(
 
 
 def metar_parse(*, where: object, why: str) -> InputError:
-    """The text is not a METAR."""
+    """A text cannot be read as a METAR; ``why`` says what is wrong."""
     return InputError(
         METAR_PARSE,
         "{why}",

@@ -1,6 +1,6 @@
 """The refractive index of moist air, and how much water it holds.
 
-All pressures in Pa, temperatures in K, wavelengths of vacuum in m. The vapour pressure ``e`` is
+All pressures in Pa, temperatures in K, wavelengths in vacuum in m. The vapour pressure ``e`` is
 the partial pressure of water; ``e = 0`` is dry air.
 """
 

@@ -194,10 +194,10 @@ def standard_atmosphere(
 ) -> Profile:
     """A standard atmosphere as a profile.
 
-    ``name``: one of `standard_names`. ``index``: ``ciddor`` or ``gyer`` (Eq. 13, 0.589 um whatever
-    the wavelength). ``wavelength_m``: of vacuum [m]. ``latitude`` [rad] gives normal gravity, as
-    the profile of a mission has; by default the standard keeps the gravity of its own definition, a
-    climatology that of its latitude.
+    ``name``: one of `standard_names`. ``index``: ``ciddor``, or ``gyer`` (Gyer 1996, Eq. 13), which
+    is of 0.589 um whatever the wavelength. ``wavelength_m``: in vacuum [m]. ``latitude``: geodetic
+    [rad]; it gives normal gravity, as the profile of a mission has. By default the standard keeps
+    the gravity of its own definition, a climatology that of its latitude.
 
     Agrees with the tables of its definition to their last printed digit.
 

@@ -22,7 +22,11 @@ from unbend.batch.waiting import within
 from unbend.errors import InputError, StorageError
 
 _STORES = {"s3": "S3Store", "az": "AzureStore", "gs": "GCSStore"}
-"""Classes of obstore by the scheme of a URL."""
+"""Classes of obstore by the scheme of a URL.
+
+A scheme that obstore does not have needs more than a line here: its own requests, and its errors in
+`answered`.
+"""
 
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9._-]{1,62}")
 
@@ -251,7 +255,10 @@ def request(verb: str, place: Place, function: str, *arguments: Any, **options: 
 
 
 def answered(verb: str, place: Place, call: Callable[[], Any]) -> Any:
-    """What a call of obstore returns. Errors become None or an exception, as `request` says."""
+    """What a call of obstore returns; None where a condition of the request does not hold.
+
+    Else raises as `request` does, or ConfigError (CLOUD-EXTRA) if obstore is missing.
+    """
     try:
         from obstore import exceptions
     except ImportError:

@@ -54,7 +54,8 @@ def open_inputs(
 ) -> OpenedInputs:
     """All inputs of a mission beside its observations and its log, opened.
 
-    ``camera_names`` are the mission's cameras by what a block calls them.
+    Tables are read here, readers are called by the stages. ``camera_names``: camera of the mission
+    by its name in the block.
     """
     return OpenedInputs(
         observations=observations,

@@ -1,4 +1,4 @@
-"""What the system says of other processes: which is stopped, and which holds a lock. Linux does."""
+"""What Linux says of other processes: which is suspended, and which holds a lock."""
 
 import os
 from pathlib import Path
@@ -6,10 +6,10 @@ from pathlib import Path
 LOCKS = Path("/proc/locks")
 
 
-def is_stopped(process: int | None) -> bool:
-    """Whether a process is stopped (SIGSTOP), by its number; False where the system does not say.
+def is_suspended(process: int | None) -> bool:
+    """Whether a process is suspended (SIGSTOP), by its number; False if the system does not say.
 
-    A stopped process neither works nor ends until somebody lets it go on.
+    A suspended process neither works nor ends until somebody lets it go on.
     """
     try:
         status = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
@@ -43,6 +43,6 @@ def holder_in_words(lock: Path) -> str:
     process = holder_of(lock)
     if process is None:
         return "a process that is unknown on this machine, perhaps of another machine,"
-    if is_stopped(process):
+    if is_suspended(process):
         return f"process {process}, which is stopped,"
     return f"process {process}"

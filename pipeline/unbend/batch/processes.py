@@ -21,7 +21,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from unbend.batch.executors import Bug, Ends, Lost, Outcome, Task, TaskEnd, end_of
-from unbend.batch.other_processes import is_stopped
+from unbend.batch.other_processes import is_suspended
 from unbend.exit_codes import EXIT_INTERRUPTED
 from unbend.interrupts import end_process, held_back
 from unbend.refraction.kernels.threads import usable_cpus
@@ -33,11 +33,11 @@ GRACE_S = 3.0
 """How long a process that was asked to stop may clean up before it is killed: 5 s are promised."""
 
 LOOK_S = 5.0
-"""How often it is looked whether the processes of missions are stopped."""
+"""How often it is looked whether the processes of missions are suspended (SIGSTOP)."""
 
 MOST_LOOKS = 12
-"""At so many looks, one minute, a process must be stopped to be killed. Looks are counted and not
-time: Ctrl-Z stops the command too, and then nobody looks."""
+"""At so many looks, one minute, a process must be suspended to be killed. Looks are counted and not
+time: Ctrl-Z suspends the command too, and then nobody looks."""
 
 
 class MissionProcess:
@@ -47,8 +47,8 @@ class MissionProcess:
         self._threads = threads
         self._pool: ProcessPoolExecutor | None = None
         self._process: BaseProcess | None = None
-        self._looks_stopped = 0  # how often in turn it was found stopped
-        self._was_stopped = False  # for so long that it was killed
+        self._looks_suspended = 0  # how often in turn it was found suspended
+        self._was_suspended = False  # for so long that it was killed
 
     def submit(self, task: Callable[[], TaskEnd]) -> Future[TaskEnd]:
         """Begin a task; `end` says how it ended."""
@@ -75,31 +75,35 @@ class MissionProcess:
             started = set(multiprocessing.active_children()) - before
         if started:
             self._process = started.pop()
-            self._looks_stopped = 0
-            self._was_stopped = False
+            self._looks_suspended = 0
+            self._was_suspended = False
         return future
 
     def end(self, future: Future[TaskEnd]) -> TaskEnd:
-        """How a task ended, which is waited for; Lost where its process died or was stopped."""
+        """Wait for a task, and return how it ended.
+
+        Lost where its process died, or was killed after it had been suspended (SIGSTOP) for
+        `MOST_LOOKS` looks; Bug where the task or its result cannot be pickled.
+        """
         while not wait([future], timeout=LOOK_S).done:
-            self.kill_if_stopped()
+            self.kill_if_suspended()
         try:
             return future.result()
         except BrokenProcessPool:
             self._close()  # waits for the process, which has an exit code then
             code = None if self._process is None else self._process.exitcode
-            return Lost(way_of_death(code, was_stopped=self._was_stopped))
+            return Lost(way_of_death(code, was_suspended=self._was_suspended))
         except Exception as error:  # the task, or what it returned, cannot be pickled
             return Bug(f"{type(error).__name__}: {error}")
 
-    def kill_if_stopped(self) -> None:
-        """Look whether the process is stopped (SIGSTOP); kill it if it was at all looks of late."""
-        if self._process is None or not is_stopped(self._process.pid):
-            self._looks_stopped = 0
+    def kill_if_suspended(self) -> None:
+        """Look whether the process is suspended (SIGSTOP); kill it after `MOST_LOOKS` in a row."""
+        if self._process is None or not is_suspended(self._process.pid):
+            self._looks_suspended = 0
             return
-        self._looks_stopped += 1
-        if self._looks_stopped >= MOST_LOOKS:
-            self._was_stopped = True
+        self._looks_suspended += 1
+        if self._looks_suspended >= MOST_LOOKS:
+            self._was_suspended = True
             self._process.kill()
 
     def ask_to_stop(self) -> None:
@@ -188,22 +192,30 @@ def run_task(task: Callable[[], TaskEnd]) -> TaskEnd:
     return end.receipt() if isinstance(end, Outcome) else end
 
 
-def way_of_death(code: int | None, *, was_stopped: bool = False) -> str:
+def way_of_death(code: int | None, *, was_suspended: bool = False) -> str:
     """What an exit code of a process says, in words.
 
     >>> way_of_death(-9), way_of_death(3), way_of_death(0xC0000005)
     ('killed by SIGKILL', 'exit code 3', 'exit code 0xC0000005')
     """
-    if was_stopped:
+    if was_suspended:
         seconds = MOST_LOOKS * LOOK_S
         return f"stopped (SIGSTOP) for {seconds:.0f} s, so it was killed"
     if code is None:
         return "it ended without an exit code"
     if code < 0:
-        return f"killed by {signal.Signals(-code).name}"
+        return f"killed by {_name_of_signal(-code)}"
     if code < 256:
         return f"exit code {code}"
     return f"exit code 0x{code:08X}"
+
+
+def _name_of_signal(number: int) -> str:
+    """The name of a signal; most real-time signals have only a number."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
 
 
 Done = tuple[MissionProcess, "MissionRef", Future[TaskEnd]]
@@ -211,13 +223,13 @@ Done = tuple[MissionProcess, "MissionRef", Future[TaskEnd]]
 
 
 def next_done(done: SimpleQueue[Done], processes: Iterable[MissionProcess]) -> Done:
-    """Wait for the next task that ends, and kill processes that stay stopped meanwhile."""
+    """Wait for the next task that ends, and kill processes that stay suspended meanwhile."""
     while True:
         try:
             return done.get(timeout=LOOK_S)
         except Empty:
             for process in processes:
-                process.kill_if_stopped()
+                process.kill_if_suspended()
 
 
 class Processes:

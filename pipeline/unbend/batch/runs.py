@@ -314,7 +314,7 @@ def profile_in_light(
 ) -> tuple[Profile, Ledger]:
     """The profile of a mission, or a standard atmosphere by its name, in one light.
 
-    That is a wavelength of vacuum [m], else the light of one of the mission's cameras, else that of
+    That is a wavelength in vacuum [m], else the light of one of the mission's cameras, else that of
     the whole mission or standard. Refuses (ConfigError ANGLE-CAMERA) a camera that is not there.
     """
     if config is None:

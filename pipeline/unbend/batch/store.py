@@ -312,7 +312,11 @@ def _refuse_links(path: Path) -> None:
 
 
 def lock_folder(path: Path) -> FileLock:
-    """The lock of a folder, acquired; refuses (OUTPUT-IN-USE) one that another process has."""
+    """The lock of a folder, acquired.
+
+    Refuses a folder that another process has (OUTPUT-IN-USE), one that cannot be written to
+    (STORAGE-WRITE), and one whose file system has no locks (STORAGE-LOCK).
+    """
     lock = FileLock(path / _LOCK, timeout=0)
     try:
         lock.acquire()
@@ -323,7 +327,7 @@ def lock_folder(path: Path) -> FileLock:
         ) from None
     except (OSError, NotImplementedError) as error:
         if getattr(error, "errno", None) in (EACCES, EPERM, EROFS):
-            with storage_errors(path):  # a refusal to write, in its words
+            with storage_errors(path):  # no permission to write: told as STORAGE-WRITE
                 raise
         raise messages.folder_not_lockable(path=str(path), error=str(error)) from None
     return lock

@@ -70,7 +70,7 @@ def orientation_fitted(
 
 
 def orientation_fit(*, where: object, size: int, fit: str) -> MissionError:
-    """How the model fits the known positions."""
+    """A model is refused whose images are not where the known positions are."""
     return MissionError(
         ORIENTATION_FIT,
         "the model does not fit {size} known positions: {fit}",

@@ -245,7 +245,10 @@ class CameraSection(Section):
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
-        """One way to give the interior orientation, completely."""
+        """One way to give the interior orientation, completely.
+
+        ``format`` goes only with a file, ``pixel_origin`` only without.
+        """
         if (self.model is None) != (self.params is None):
             raise SectionError("give model and params together, as they are in cameras.txt")
         ways = []
@@ -262,10 +265,10 @@ class CameraSection(Section):
             raise SectionError(
                 f"{given}: each of them gives the interior orientation; keep only one"
             )
-        format_without_file = self.file is None and self.format is not None
-        origin_with_file = self.file is not None and self.pixel_origin is not None
-        if format_without_file or origin_with_file:
-            raise SectionError("format needs file, and pixel_origin cannot be combined with file")
+        if self.file is None and self.format is not None:
+            raise SectionError("format needs file")
+        if self.file is not None and self.pixel_origin is not None:
+            raise SectionError("pixel_origin cannot be combined with file")
         if self.file is None and self._states_numbers:
             self._check_principal_distances()
         return self

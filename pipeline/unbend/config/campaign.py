@@ -25,7 +25,7 @@ from unbend.config.yaml_text import Place, open_questions, read_yaml
 from unbend.errors import ConfigError
 
 _IS_CAMPAIGN = re.compile(r"""^["']?(campaign|missions)["']?\s*:|^\s*\{""", re.MULTILINE)
-_URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the rooms above has it
+_URL = re.compile("[A-Za-z][A-Za-z0-9+.-]+:/")  # as `is_url` of the packages above has it
 
 
 @dataclass(frozen=True)

@@ -236,9 +236,9 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
     still_beyond = span_of_flight.count_outside(time_ns + shift_ns)
     if still_beyond < beyond:
         brought = f"{time_ns.size - still_beyond}" if still_beyond else "all"
-        fitting = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them into the flight"
+        shift_that_fits = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them into the flight"
     else:
-        fitting = (
+        shift_that_fits = (
             "neither leap seconds, a time zone, a day nor a week would bring all of them into the "
             "flight, and a common begin does not bring more of them"
         )
@@ -249,7 +249,7 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
         span_of_events=str(span_of_events),
         channel=position.name,
         span_of_flight=str(span_of_flight),
-        fitting=fitting,
+        shift_that_fits=shift_that_fits,
     )
     if 2 * beyond > time_ns.size:
         raise messages.most_events_beyond_flight(events_beyond)

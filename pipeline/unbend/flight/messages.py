@@ -1,4 +1,4 @@
-"""What the flight room says: its codes, and one function for each message and refusal."""
+"""What the flight package says: its codes, and one function for each message and refusal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -831,11 +831,11 @@ EVENTS_SPAN = Code(
 
 _BEYOND_FLIGHT = (
     "{count} of {total_events} are outside the flight: events {of_events}, "
-    "{channel} {of_flight}; {fitting}"
+    "{channel} {of_flight}; {shift_that_fits}"
 )
 _ONE_BEYOND_FLIGHT = (
     "1 of {total_events} is outside the flight: events {of_events}, "
-    "{channel} {of_flight}; {fitting}"
+    "{channel} {of_flight}; {shift_that_fits}"
 )
 
 
@@ -849,7 +849,7 @@ class BeyondFlight:
     span_of_events: str  # from the first event to the last
     channel: str  # that gives the time of the flight
     span_of_flight: str  # from its first sample to its last
-    fitting: str  # which shift of time would bring how many events into the flight
+    shift_that_fits: str  # which shift of time would bring how many events into the flight
 
 
 def events_beyond_flight(events: BeyondFlight) -> Message:
@@ -864,7 +864,7 @@ def events_beyond_flight(events: BeyondFlight) -> Message:
         of_events=events.span_of_events,
         channel=events.channel,
         of_flight=events.span_of_flight,
-        fitting=events.fitting,
+        shift_that_fits=events.shift_that_fits,
     )
 
 
@@ -882,7 +882,7 @@ def most_events_beyond_flight(events: BeyondFlight) -> MissionError:
         of_events=events.span_of_events,
         channel=events.channel,
         of_flight=events.span_of_flight,
-        fitting=events.fitting,
+        shift_that_fits=events.shift_that_fits,
     )
 
 

@@ -51,7 +51,7 @@ def fit_clock(
     recorder: UtcReadings | None = None,
     where: str = "",
     *,
-    cameras: Sequence[UtcReadings] = (),
+    fallbacks: Sequence[UtcReadings] = (),
     utc_of: str = "source of UTC",
     witnesses: Sequence[Witness] = (),
 ) -> BootClock:
@@ -61,7 +61,7 @@ def fit_clock(
 
     - The one of the ``sources`` with the most rows, by the median of its rows. Each other source
       that differs by more than 1 s is a loss.
-    - ``cameras``, if no source has UTC in any boot.
+    - ``fallbacks``, as cameras, if no source has UTC in any boot.
     - ``recorder``, in a boot without any of these.
     - Else nothing: the times of the boot count from 1970.
 
@@ -76,7 +76,7 @@ def fit_clock(
     dates = DateCheck(line, recorder, tuple(witnesses), where)
     accepted = [dates.acceptable(source.usable_rows(line), ledger) for source in sources]
     if not any(source.places.size for source in accepted):
-        accepted = [dates.acceptable(camera.usable_rows(line), ledger) for camera in cameras]
+        accepted = [dates.acceptable(other.usable_rows(line), ledger) for other in fallbacks]
     # The best source decides first about silences; `_utc_of_boots` chooses anew in each boot.
     accepted.sort(key=lambda source: -source.places.size)
     with_recorder = accepted if recorder is None else [*accepted, recorder]

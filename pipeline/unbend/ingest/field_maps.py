@@ -1,4 +1,7 @@
-"""Field maps: which field of a message is which column of a channel, in which unit."""
+"""Reads data/field_maps.toml, where a message's fields and roles are declared.
+
+A field map says which field of a message is which column of a channel, in which unit.
+"""
 
 import re
 import tomllib

@@ -58,9 +58,10 @@ def open_log(
 ) -> Log:
     """Read a flight log of any format in `FORMATS`; its content and its extension have to agree.
 
-    ``sha256``: its hash, if already taken. ``needs_channels``: refuse a log without any; without
-    them start and end are 0. ``date_ns``: the date of the flight [Unix ns], if the mission file
-    states it. Damage is no reason to refuse: it is counted in the ledger of the log.
+    ``sha256``: its hash, if already taken. ``needs_channels``: refuse a log without a channel of
+    measurements; without any channel start and end are 0. ``date_ns``: the date of the flight
+    [Unix ns], if the mission file states it. Damage is no reason to refuse: it is counted in the
+    ledger of the log.
     Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT, LOG-NO-MESSAGES, LOG-UNREADABLE,
     LOG-CHANGED, LOG-TOO-LARGE; of PX4 logs LOG-ULOG) when nothing can be used.
     """
@@ -78,8 +79,8 @@ def open_log(
         # file with another head, which may be no log at all, is hashed only if it could be read.
         if form.matches(head) and not sha256:
             sha256 = hash_file(path)
-        clocks = _witnesses(path, date_ns)
-        contents = _read(form, path, clocks, ledger, needs_channels=needs_channels)
+        witnesses = _witnesses(path, date_ns)
+        contents = _read(form, path, witnesses, ledger, needs_channels=needs_channels)
         if not sha256:
             sha256 = hash_file(path)
     except OSError as error:
@@ -161,26 +162,26 @@ def _format_of(path: Path, head: bytes) -> LogFormat:
 
 def _witnesses(path: Path, date_ns: int | None) -> list[Witness]:
     """What tells the date of a log beside the log: the mission file, and the name of the file."""
-    clocks = []
+    witnesses = []
     if date_ns is not None:
-        clocks.append(Witness("mission.date", date_ns))
+        witnesses.append(Witness("mission.date", date_ns))
     of_name = date_in_name(path.name)
     if of_name is not None:
-        clocks.append(of_name)
-    return clocks
+        witnesses.append(of_name)
+    return witnesses
 
 
 def _read(
     form: LogFormat,
     path: Path,
-    clocks: Sequence[Witness],
+    witnesses: Sequence[Witness],
     ledger: Ledger,
     *,
     needs_channels: bool,
 ) -> Contents:
     """The contents of a log with its channels checked and sorted; LogError if nothing is usable."""
-    decoded = form.read(path, ledger, clocks)
-    contents = with_possible_dates(decoded, clocks, ledger)
+    decoded = form.read(path, ledger, witnesses)
+    contents = with_possible_dates(decoded, witnesses, ledger)
     channels = []
     for channel in contents.channels:
         checked = ledger.take(mask_impossible_values(channel))

@@ -61,7 +61,7 @@ class UtcReadings:
             fix=np.empty(0),
         )
 
-    def day_in(self, boot: Mask) -> int:
+    def median_utc_ns(self, boot: Mask) -> int:
         """The median UTC [Unix ns] of the rows of a boot, which a mask marks."""
         sorted_ns = np.sort(self.utc_ns[boot])
         return int(sorted_ns[sorted_ns.size // 2])
@@ -110,7 +110,7 @@ class DateCheck:
         keep = np.ones(boots.shape, np.bool_)
         for number in np.unique(boots).tolist():
             rows = boots == number
-            stated_ns = source.day_in(rows)
+            stated_ns = source.median_utc_ns(rows)
             clocks = self._clocks_of(number)
             rollovers = missed_rollovers(stated_ns, clocks, of_receiver=source.sigma_s == 0.0)
             place = place_of_boot(self.where, number)
@@ -150,7 +150,7 @@ class DateCheck:
         if self.recorder is not None:
             rows = self.line.boot_of(self.recorder.places) == boot
             if rows.any():
-                strong.append(Witness(self.recorder.source, self.recorder.day_in(rows)))
+                strong.append(Witness(self.recorder.source, self.recorder.median_utc_ns(rows)))
         return strong + weak
 
     @staticmethod
@@ -168,12 +168,15 @@ class DateCheck:
 def possible_recorder(
     recorder: UtcReadings, line: Timeline, where: str, ledger: Ledger
 ) -> UtcReadings:
-    """The rows of a recorder in the boots in which its date is possible."""
+    """The rows of a recorder in the boots in which its date is possible.
+
+    ``recorder`` must hold usable rows only. Each boot that is left out is noted.
+    """
     boots = line.boot_of(recorder.places)
     keep = np.ones(boots.shape, np.bool_)
     for number in np.unique(boots).tolist():
         rows = boots == number
-        stated_ns = recorder.day_in(rows)
+        stated_ns = recorder.median_utc_ns(rows)
         if is_possible(stated_ns):
             continue
         keep &= ~rows

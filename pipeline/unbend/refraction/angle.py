@@ -93,7 +93,7 @@ class RadialTable:
     horizontal displacement on the ground, also where the straight apparent ray passes over the
     horizon and only the bent one lands. For an image taken vertically ``radius_px`` is the distance
     from the principal point and ``dr_px`` what to add to it, NaN without a principal distance.
-    ``wavelength_m`` [m of vacuum] is that of the light.
+    ``wavelength_m`` [m, in vacuum] is that of the light.
     ``k_rad`` is R at 45 degrees, the K of the Manual of Photogrammetry, and ``k_manual_rad`` the
     value of its formula (NaN where it has none).
     """

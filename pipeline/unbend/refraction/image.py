@@ -227,7 +227,10 @@ class _Correction:
     uncertainty: Uncertainty | None
 
     def fill(self, part: Corrections, observed: ObservationColumns, distance: Array) -> None:
-        """Fill the corrections of some observations with slant ranges (n,) [m]."""
+        """Fill the corrections of some observations.
+
+        ``distance``: slant ranges (n,) [m], NaN where unknown.
+        """
         from unbend.refraction.kernels.shifts import fill_shifts
 
         rays, part.r_cc_rad[:], status_of_ray = outgoing_rays(observed, self.camera, self.exposures)

@@ -197,7 +197,7 @@ CAMERA_PRINCIPAL_POINT = Code(
 
 
 def camera_principal_point(*, percent: float) -> PhysicsError:
-    """The principal point of a calibration report lies more than a quarter of the format fr."""
+    """The principal point of a calibration report is ``percent`` of the format off centre."""
     return PhysicsError(
         CAMERA_PRINCIPAL_POINT,
         (
@@ -223,7 +223,7 @@ CAMERA_REPORT = Code(
 
 
 def camera_report(*, fit: str, apart_um: float, radius_mm: float) -> PhysicsError:
-    """The table and the coefficients of a calibration report differ by more than 2 micromet."""
+    """The table of a calibration report and its coefficients (``fit``) differ."""
     return PhysicsError(
         CAMERA_REPORT,
         "the table and {fit} differ by {apart_um:.1f} um at a radius of {radius_mm:.1f} mm",
@@ -346,7 +346,7 @@ RADIAL_ANGLE = Code(
 
 
 def radial_angle(*, least_deg: float, largest_deg: float) -> PhysicsError:
-    """A radial table goes from the nadir to less than 90 degrees."""
+    """A radial table is to begin above the nadir, or to end at the horizon or beyond."""
     return PhysicsError(
         RADIAL_ANGLE,
         (
@@ -360,7 +360,7 @@ def radial_angle(*, least_deg: float, largest_deg: float) -> PhysicsError:
 
 
 def radial_angle_angles_to(*, largest_deg: float, step_deg: float) -> PhysicsError:
-    """A radial table goes from the nadir to less than 90 degrees."""
+    """Nadir angles of a radial table are not possible: their largest one, or their step."""
     return PhysicsError(
         RADIAL_ANGLE,
         "nadir angles up to {largest_deg:g} degrees in steps of {step_deg:g} are not possible",
@@ -435,7 +435,7 @@ WINDOW_NORMAL = Code(
 
 
 def window_normal(*, length: float) -> PhysicsError:
-    """The normal of a window is not a unit vector, or points into the compartment."""
+    """The normal of a window is not a unit vector."""
     return PhysicsError(
         WINDOW_NORMAL,
         "the normal of a window has the length {length:.9g}",
@@ -445,7 +445,7 @@ def window_normal(*, length: float) -> PhysicsError:
 
 
 def window_normal_inwards() -> PhysicsError:
-    """The normal of a window is not a unit vector, or points into the compartment."""
+    """The normal of a window points into the compartment."""
     return PhysicsError(
         WINDOW_NORMAL,
         "the normal of a window points into the compartment",

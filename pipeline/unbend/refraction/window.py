@@ -139,9 +139,9 @@ def refract_at_window(
     """
     from unbend.refraction.kernels.window import refract_directions
 
-    n_before = np.asarray(refractivity_before, dtype=np.float64)
-    n_after = np.asarray(refractivity_after, dtype=np.float64)
-    excess = (n_before - n_after) / (1.0 + n_after)
+    before = np.asarray(refractivity_before, dtype=np.float64)
+    after = np.asarray(refractivity_after, dtype=np.float64)
+    excess = (before - after) / (1.0 + after)  # n_before / n_after - 1
     rays = np.array(direction, np.float64, order="C")
     normals = np.array(np.broadcast_to(normal, rays.shape), np.float64)
     change = np.empty(rays.shape)

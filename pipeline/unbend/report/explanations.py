@@ -58,13 +58,13 @@ def meanings() -> Mapping[str, Mapping[str, Meaning]]:
 
 
 def codes() -> Iterator[Code]:
-    """The codes of all rooms, which stand in modules called messages, and that of every room."""
+    """The codes of all packages, in their modules called messages, and STORAGE-WRITE."""
     yield STORAGE_WRITE
     root = Path(str(resources.files("unbend")))
     for path in sorted(root.rglob("messages.py")):
         words = path.relative_to(root.parent).with_suffix("").parts
-        room = importlib.import_module(".".join(words))
-        yield from (value for value in vars(room).values() if isinstance(value, Code))
+        module = importlib.import_module(".".join(words))
+        yield from (value for value in vars(module).values() if isinstance(value, Code))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ def air_by_camera(
 ) -> ProfileSeries:
     """The profiles of a flight, each at the wavelengths of the cameras that were exposed in it.
 
-    ``cameras`` (s,) are those of the stations. ``wavelengths_m`` of vacuum [m] are by camera;
+    ``cameras`` (s,) are those of the stations. ``wavelengths_m`` in vacuum [m] are by camera;
     others keep the light of the profiles. Refuses (MissionError WAVELENGTH-FORMULA) wavelengths
     where the index of refraction is by a formula for one light.
     """
@@ -54,7 +54,7 @@ def require_wavelengths(index: IndexModel, where: str) -> None:
 
 
 def in_light(timed: TimedProfile, wavelength_m: float) -> TimedProfile:
-    """The same air, with the refractivity and the sigmas at a wavelength of vacuum [m]."""
+    """The same air, with the refractivity and the sigmas at a wavelength in vacuum [m]."""
     index = replace(timed.profile.index, wavelength_m=wavelength_m)
     profile = replace(timed.profile, index=index)
     covariance = timed.own_covariance

@@ -124,7 +124,7 @@ class StationBuilder:
 
     def stations(self, events: Events) -> Stations:
         """The stations at some exposures; those in suspect stretches are not flagged yet."""
-        stations = build_stations(
+        at_events = build_stations(
             events,
             self.roles,
             self.mount,
@@ -135,14 +135,14 @@ class StationBuilder:
         )
         offsets = self.offsets
         if offsets is None:
-            return stations
+            return at_events
         # The row of the nearest event: a delay moves all alike, by less than half an interval.
         between_ns = (offsets.time_ns[:-1] + offsets.time_ns[1:]) // 2
-        row = np.searchsorted(between_ns, stations.time_ns)
+        row = np.searchsorted(between_ns, at_events.time_ns)
         north = offsets["offset_north_m"][row]
         east = offsets["offset_east_m"][row]
         down = offsets["offset_down_m"][row]
-        return stations.moved(np.stack([east, north, -down], axis=1))
+        return at_events.moved(np.stack([east, north, -down], axis=1))
 
     def later(self, stations: Stations, seconds: float) -> Stations:
         """The stations of the same images if these had been exposed some ``seconds`` later."""

@@ -117,7 +117,10 @@ def angles_beyond_turn(
     likely: str,
     key: str,
 ) -> InputError:
-    """Angles are more than a turn in their unit; ``likely`` is the one in which they are not."""
+    """Angles are more than a turn in their unit; ``likely`` is the one in which they are not.
+
+    ``turn``: a full turn in ``unit``; ``largest``: of the angles.
+    """
     text = "{count} rows have an angle of more than one turn ({turn:g} {unit}), up to {largest:g}"
     text_of_one = "1 row has an angle of more than one turn ({turn:g} {unit}): {largest:g}"
     if likely:

@@ -156,6 +156,27 @@ def test_real_columns_on_coarse_and_model_levels_are_air(number, kind):
     }
 
 
+@pytest.mark.parametrize("lowest_k", [282.0, np.nan])
+def test_a_ground_is_metres_only_where_the_lowest_level_has_a_temperature(lowest_k):
+    """Without, pressure cannot be reduced to sea level, and nothing contradicts geopotential."""
+    ground_m = 900.0
+    field = column_field(
+        np.array([136.0, 137.0]),
+        [281.9, lowest_k],
+        [0.005, 0.005],
+        ground_m=ground_m / 9.80665,
+        surface_pa=101_325.0 * np.exp(-ground_m / 8300.0),
+        on_model_levels=True,
+        ground_has_unit=False,
+    )
+
+    checked, notes = checked_field(field, "era5.nc")
+
+    is_known = bool(np.isfinite(lowest_k))
+    assert [note.code for note in notes] == ["MODEL-GROUND-UNIT"] * is_known
+    assert checked.ground_has_unit is is_known
+
+
 NODES_DEG = [46.0, 46.25, 46.5, 46.75, 47.0]
 
 

@@ -31,7 +31,7 @@ class Walk:
 def walk(data):
     walker = find_records(view_of_bytes(data))
     names = np.array([definition.name for definition in walker.definitions])
-    blocks = walker.wanted
+    blocks = walker.kept_blocks
     numbers = np.concatenate([block.numbers for block in blocks])
     return Walk(
         places=np.concatenate([block.base + block.at.astype(np.int64) for block in blocks]),

@@ -222,6 +222,11 @@ def test_latitude_and_longitude_swapped():
     assert "longitude exchanged?" in refusal(text, "ORIENTATION-POSITION").what
 
 
+def test_latitude_is_not_exchanged_with_a_longitude_that_is_no_latitude():
+    text = HEAD + ROW.replace("47.5,8.5", "151.2,-133.9")
+    assert "exchanged" not in refusal(text, "ORIENTATION-POSITION").what
+
+
 def test_places_of_a_projection():
     text = HEAD + ROW.replace("47.5,8.5", "5262000.0,612000.0")
     error = refusal(text, "ORIENTATION-POSITION")

@@ -420,10 +420,14 @@ def unadjusted(standard: Profile, reason: str) -> Adjustment:
 
 
 def _notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
-    """Substitutes, estimated sensor faults, readings that do not fit, and outliers."""
+    """What the profile lacks, and which readings it departs from.
+
+    That is what replaces a missing thermometer or hygrometer, a failed convergence, sensor faults
+    that the flight determined, readings that do not fit, and outliers.
+    """
     if candidate.basis == "barometer":
         where = candidate.main.name if candidate.main else ""
-        yield messages.air_barometric(where=where, sources=candidate.reason)
+        yield messages.air_barometric(where=where, reason=candidate.reason)
     if not any(isinstance(readings, sensors.Humidities) for readings in made.readings.sets):
         yield messages.air_humidity_expected()
     if not made.converged:

@@ -3,6 +3,8 @@
 What the air has changed by in that time and over that distance follows from its structure function
 (`atmosphere.air_variation`): a sounding departs from the air of the flight by a profile whose
 covariance, with the air itself and with other soundings, is part of the prior (`state.prior_of`).
+The sigmas of stations here are those of their surroundings; a METAR's own, of rounding and sensor,
+are in `surface_report`.
 """
 
 import math

@@ -61,9 +61,9 @@ AIR_BAROMETRIC = Code(
 )
 
 
-def air_barometric(*, where: str, sources: str) -> Message:
+def air_barometric(*, where: str, reason: str) -> Message:
     """Temperatures follow from the fall of pressure with height."""
-    return fallback(AIR_BAROMETRIC, "{sources}", where=where, sources=sources)
+    return fallback(AIR_BAROMETRIC, "{reason}", where=where, reason=reason)
 
 
 AIR_CALIBRATED = Code(
@@ -78,7 +78,7 @@ AIR_CALIBRATED = Code(
 
 
 def air_calibrated(*, where: str, count: int, biases: str) -> Message:
-    """Known errors of sensors, stated under atmosphere.sensors, were subtracted from the re."""
+    """Errors of sensors that the mission file states were subtracted from the readings."""
     return note(
         AIR_CALIBRATED,
         "subtracted from the readings, as the mission file states: {biases}",
@@ -167,7 +167,7 @@ AIR_CONTRADICTED = Code(
 
 
 def air_contradicted(*, where: str, count: int, quantity: str, rms: float) -> Message:
-    """A surface report, or the lowest pressure of a sounding or model column, is five sigma."""
+    """The few readings of an external source differ by 5 sigma or more from other sources."""
     return finding(
         AIR_CONTRADICTED,
         (
@@ -447,7 +447,7 @@ def air_sensors(*, count: int, faults: str) -> Message:
 
 
 def air_sensors_large(*, count: int, faults: str) -> Message:
-    """The flight determined errors of its sensors, such as bias or lag."""
+    """The flight determined an error that is larger than that of a working sensor."""
     return warning(
         AIR_SENSORS,
         "{faults}: larger than that of a working sensor, or another source is wrong",

@@ -121,7 +121,7 @@ class Solution:
         air = self.air
         layout = air.layout
         k = layout.knot.size
-        reference_pa = float(np.exp(self.x[layout.level]))
+        reference_pa = float(np.exp(self.x[layout.log_p]))
         layers = stack_layers(
             layout.knot,
             air.virtual,
@@ -139,7 +139,7 @@ class Solution:
         by_state = np.zeros((2 * k + 1, layout.size))
         by_state[:k, layout.temperature] = np.diag(air.virtual_by_t)
         by_state[:k, layout.humidity] = air.virtual_by_rh[:, None] * air.spreading
-        by_state[k, layout.level] = 1.0
+        by_state[k, layout.log_p] = 1.0
         by_state[k + 1 :, layout.temperature] = np.diag(air.vapour_by_t)
         by_state[k + 1 :, layout.humidity] = air.vapour_by_rh[:, None] * air.spreading
         matrix = by_state @ self.covariance @ by_state.T
@@ -285,7 +285,7 @@ def _fault_estimates(
     layout = solution.air.layout
     sigma = np.sqrt(np.diag(solution.covariance))
     estimates = []
-    for place, fault in enumerate(layout.faults, layout.level + 1):
+    for place, fault in enumerate(layout.faults, layout.first_fault):
         estimated = FaultEstimate(
             fault.name,
             value=float(solution.x[place]),

@@ -154,17 +154,17 @@ class Layout:
     @property
     def humidity(self) -> slice:
         """Relative humidities at their knots."""
-        return slice(self.knot.size, self.level)
+        return slice(self.knot.size, self.log_p)
 
     @property
-    def level(self) -> int:
-        """ln p at the reference height."""
+    def log_p(self) -> int:
+        """Index of ln p at the reference height."""
         return self.knot.size + self.humid.size
 
     @property
     def first_fault(self) -> int:
         """Index of the first sensor fault."""
-        return self.level + 1
+        return self.log_p + 1
 
     @property
     def first_drift(self) -> int:
@@ -264,8 +264,9 @@ def prior_of(
 ) -> Prior:
     """The background at the knots, and the expected sensor faults.
 
-    The departure of temperature from the climatology, and how those of soundings depart from it,
-    have the covariance of the structure function (`air_variation`). ``moisture`` gives humidity.
+    Two kinds of unknowns share one covariance, that of the structure function (`air_variation`):
+    the flight's temperatures, and for each sounding its temperatures minus the flight's.
+    ``moisture`` gives humidity.
     """
     profile = background.profile
     mean = np.zeros(layout.size)
@@ -282,14 +283,14 @@ def prior_of(
 
     humid_h = profile.gravity.height(layout.humid)
     humidity = np.clip(moisture.relative_humidity(humid_h), 0.0, 1.0)
-    humidity[-1] = 0.0
+    humidity[-1] = 0.0  # the highest knot is dry
     mean[layout.humidity] = humidity
     humid_covariance = _humidity_covariance(layout.humid, humid_h, moisture)
     precision[layout.humidity, layout.humidity] = np.linalg.inv(humid_covariance)
 
     reference_pa = profile.pressure(profile.gravity.height(layout.reference))
-    mean[layout.level] = float(np.log(reference_pa))
-    precision[layout.level, layout.level] = _UNKNOWN_LOG_P**-2
+    mean[layout.log_p] = float(np.log(reference_pa))
+    precision[layout.log_p, layout.log_p] = _UNKNOWN_LOG_P**-2
     for place, fault in enumerate(layout.faults, layout.first_fault):
         mean[place] = fault.mean
         precision[place, place] = fault.sigma**-2
@@ -427,8 +428,8 @@ class AirAtKnots:
         heights = np.concatenate([[layout.reference], layout.knot])
         integral, _ = column(layout.knot, self.virtual, heights)
         fall = self.constant * (integral[1:] - integral[0])
-        level = self.x[layout.level]
-        return np.asarray(np.exp(level - fall))
+        reference_log_p = self.x[layout.log_p]
+        return np.asarray(np.exp(reference_log_p - fall))
 
     def log_pressure(self, height: Array) -> tuple[Array, Array]:
         """ln p at heights (m,) [m'] by Eq. 52-53, and its (m, s) derivatives by the state."""
@@ -440,9 +441,9 @@ class AirAtKnots:
         jacobian = np.zeros((height.size, layout.size))
         jacobian[:, layout.temperature] = by_virtual * self.virtual_by_t
         jacobian[:, layout.humidity] = (by_virtual * self.virtual_by_rh) @ self.spreading
-        jacobian[:, layout.level] = 1.0
-        level = self.x[layout.level]
-        return level - fall, jacobian
+        jacobian[:, layout.log_p] = 1.0
+        reference_log_p = self.x[layout.log_p]
+        return reference_log_p - fall, jacobian
 
 
 def air_of(

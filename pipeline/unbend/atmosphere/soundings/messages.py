@@ -25,7 +25,7 @@ def model_area(
     west_node: float,
     east_node: float,
 ) -> InputError:
-    """Places of the flight lie outside the fields of the weather model, or in a hole of the."""
+    """A place of the flight is ``away_km`` outside the nodes of a weather model, or in a hole."""
     return InputError(
         MODEL_AREA,
         (
@@ -86,7 +86,7 @@ MODEL_GROUND = Code(
 
 
 def model_ground(*, where: str, ground: float) -> Message:
-    """Neither the mission nor the log has the height of the ground, which says what levels ."""
+    """The height of the ground is not known: that of the model, or sea level, is used."""
     return fallback(
         MODEL_GROUND,
         (
@@ -110,7 +110,7 @@ MODEL_GROUND_UNIT = Code(
 
 
 def model_ground_unit(*, where: str, count: int, highest: float) -> Message:
-    """The ground of a weather model on model levels has no unit, and its surface pressure i."""
+    """A ground without a unit is taken as metres, which fit its surface pressure."""
     return fallback(
         MODEL_GROUND_UNIT,
         (
@@ -180,7 +180,7 @@ def model_levels_jump(
     north: float,
     east: float,
 ) -> InputError:
-    """The levels of a weather model are too few for a profile, some are missing, or the tem."""
+    """The temperature changes from one level to the next more than in any air."""
     return InputError(
         MODEL_LEVELS,
         (
@@ -200,7 +200,7 @@ def model_levels_jump(
 
 
 def model_levels(*, where: object, total: int, which: str, listed: str, fewest: int) -> InputError:
-    """The levels of a weather model are too few for a profile, some are missing, or the tem."""
+    """A weather model has too few levels for a profile, or a series of levels has holes."""
     return InputError(
         MODEL_LEVELS,
         "{total} levels {which} ({listed} hPa): a profile needs at least {fewest}, rising",
@@ -401,7 +401,7 @@ SOUNDING_CHOICE = Code(
 
 
 def sounding_choice_rows(*, where: object, hours: float) -> InputError:
-    """The file contains several soundings, and none is chosen."""
+    """The rows of a table are farther apart in time than one ascent takes."""
     return InputError(
         SOUNDING_CHOICE,
         (
@@ -415,7 +415,7 @@ def sounding_choice_rows(*, where: object, hours: float) -> InputError:
 
 
 def sounding_choice(*, where: object, total: int) -> InputError:
-    """The file contains several soundings, and none is chosen."""
+    """A file has several soundings, and no time of the flight to choose one by."""
     return InputError(
         SOUNDING_CHOICE,
         "the file contains {total} soundings, and no time is given to choose one",
@@ -426,7 +426,7 @@ def sounding_choice(*, where: object, total: int) -> InputError:
 
 
 def sounding_choice_undated(*, where: object, total: int) -> InputError:
-    """The file contains several soundings, and none is chosen."""
+    """A file has several soundings, none of which has a date."""
     return InputError(
         SOUNDING_CHOICE,
         "none of the {total} soundings has a date, so none can be chosen",
@@ -518,7 +518,7 @@ def sounding_quantity_twice(*, where: str, column: str, other: str, quantity: st
 
 
 def sounding_column_wyoming(*, where: object, missing: str) -> InputError:
-    """A column of the sounding is missing or occurs twice, or two give the same quantity."""
+    """A Wyoming CSV lacks one of its columns."""
     return InputError(
         SOUNDING_COLUMN,
         "the Wyoming CSV has no column {missing!r}",
@@ -529,7 +529,7 @@ def sounding_column_wyoming(*, where: object, missing: str) -> InputError:
 
 
 def sounding_column(*, where: object, needed: str, present: str, names: str) -> InputError:
-    """A column of the sounding is missing or occurs twice, or two give the same quantity."""
+    """No column of a plain CSV gives a quantity that every sounding needs."""
     return InputError(
         SOUNDING_COLUMN,
         "no column gives the {needed} with its unit; there are {present}",
@@ -669,7 +669,7 @@ SOUNDING_FORMAT = Code(
 
 
 def sounding_format_igra(*, where: object) -> InputError:
-    """The file is not a sounding of the format that is stated or detected."""
+    """A file is stated to be of IGRA, and has no header of a sounding."""
     return InputError(
         SOUNDING_FORMAT,
         "is not an IGRA file: none of its lines begins with #, as the header of a sounding does",
@@ -679,7 +679,7 @@ def sounding_format_igra(*, where: object) -> InputError:
 
 
 def sounding_format_name(*, where: object, name: str, names: str) -> InputError:
-    """The file is not a sounding of the format that is stated or detected."""
+    """The mission file states a format of soundings that is not known."""
     return InputError(
         SOUNDING_FORMAT,
         "no format of soundings is called {name!r}",
@@ -691,7 +691,7 @@ def sounding_format_name(*, where: object, name: str, names: str) -> InputError:
 
 
 def sounding_format_header(*, where: object, header: str) -> InputError:
-    """The file is not a sounding of the format that is stated or detected."""
+    """A line begins as the header of an IGRA sounding, and is not one."""
     return InputError(
         SOUNDING_FORMAT,
         "{header!r} is not the header of an IGRA sounding",
@@ -702,7 +702,7 @@ def sounding_format_header(*, where: object, header: str) -> InputError:
 
 
 def sounding_format(*, where: object, begins: str) -> InputError:
-    """The file is not a sounding of the format that is stated or detected."""
+    """The format is not stated, and the file begins as none of the known ones."""
     return InputError(
         SOUNDING_FORMAT,
         "is not a sounding in a known format: it begins with {begins!r}",

@@ -338,7 +338,7 @@ def _checked_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     if not field.on_model_levels:
         return field, notes
     if not field.ground_has_unit:
-        field, notes = _likely_ground(field, where)
+        field, notes = _with_likely_ground(field, where)
     expected = math.log(_SEA_LEVEL_PA) - field.surface / _SCALE_HEIGHT_M
     departures = np.abs(field.log_surface_pa - expected)
     departure = float(np.nanmax(departures))
@@ -347,25 +347,36 @@ def _checked_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
     return field, notes
 
 
-def _likely_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
-    """The ground in metres where the surface pressure is weather at no height else, and noted."""
-    metres = field.surface * STANDARD_GRAVITY
-    is_right = _sea_level_departure(field, field.surface) < _WEATHER_LOG_P
-    if is_right or _sea_level_departure(field, metres) > _WEATHER_LOG_P:
+def _with_likely_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
+    """The field with its ground in metres, where only metres fit the surface pressure.
+
+    The file states no unit for its ground. Geopotential was assumed, so that ``field.surface`` is
+    the file's number over g. The file's number is metres where pressure reduced to sea level fits
+    the weather from that height, but not from the assumed one. That repair is noted.
+    """
+    number_in_file = field.surface * STANDARD_GRAVITY
+    geopotential_fits = _sea_level_departure(field, field.surface) < _WEATHER_LOG_P
+    metres_fit = _sea_level_departure(field, number_in_file) < _WEATHER_LOG_P
+    if geopotential_fits or not metres_fit:
         return field, ()
     repaired = messages.model_ground_unit(
         where=where,
-        count=metres.size,
-        highest=float(np.nanmax(metres)),
+        count=number_in_file.size,
+        highest=float(np.nanmax(number_in_file)),
     )
-    return replace(field, surface=metres, ground_has_unit=True), (repaired,)
+    return replace(field, surface=number_in_file, ground_has_unit=True), (repaired,)
 
 
 def _sea_level_departure(field: ModelField, ground: Array) -> float:
-    """How far pressure reduced from a ground [m'] to sea level is from its mean, as a logarithm."""
+    """How far pressure reduced from a ground [m'] to sea level is from its mean, as a logarithm.
+
+    Infinite where no place has pressure, temperature and ground.
+    """
     lowest_level_k = field.temperature_k[:, -1:]
     mean_k = lowest_level_k + 0.5 * EXTENSION_LAPSE * ground
     reduced = field.log_surface_pa + HYDROSTATIC_CONSTANT * ground / mean_k
+    if not bool(np.isfinite(reduced).any()):
+        return math.inf
     return abs(float(np.nanmedian(reduced)) - math.log(_SEA_LEVEL_PA))
 
 

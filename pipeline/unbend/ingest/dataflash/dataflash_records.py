@@ -106,7 +106,7 @@ class RecordWalker(DamagedBytes):
         self.length_of[FMT_TYPE] = FMT_LENGTH
         self.seen: dict[bytes, int] = {}  # numbers of definitions by the payload of their FMT
         self.refused: list[str] = []
-        self.wanted: list[RecordBlock] = []
+        self.kept_blocks: list[RecordBlock] = []
         self.runs: list[_RecordRun] = []  # records that are not yet in a `RecordBlock`
         self._counts = np.zeros(1, np.int64)
 
@@ -265,8 +265,8 @@ class RecordWalker(DamagedBytes):
             yield block
             counts = np.bincount(block.numbers, minlength=len(self.definitions))
             self._counts = self.counts + counts
-            wanted_block = self._wanted_of(block)
-            self.wanted.append(wanted_block)
+            kept_block = self._wanted_of(block)
+            self.kept_blocks.append(kept_block)
 
     def _wanted_of(self, block: RecordBlock) -> RecordBlock:
         """The records of a block whose names are wanted."""

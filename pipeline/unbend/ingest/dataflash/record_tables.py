@@ -21,16 +21,16 @@ class RecordRows(NamedTuple):
     """Some records of the definition with a number: a structured array, and places in the file."""
 
     number: int
-    rows: NDArray[Any]
+    records: NDArray[Any]
     places: Integers
 
 
 def read_records(walker: RecordWalker, is_wanted: Mask) -> Iterator[RecordRows]:
     """The records of the wanted definitions: block by block of the file, in each by definition.
 
-    ``is_wanted``: (n,) by the number of a definition.
+    ``is_wanted`` (n,): whether to read the definition with that number.
     """
-    for block in walker.wanted:
+    for block in walker.kept_blocks:
         rows = np.flatnonzero(is_wanted[block.numbers])
         if rows.size == 0:
             continue
@@ -44,10 +44,10 @@ def read_records(walker: RecordWalker, is_wanted: Mask) -> Iterator[RecordRows]:
             offsets = block.at[rows_by_number[begin:end]]
             begin = end
             form = walker.definitions[number]
-            records = gather(raw, offsets, form.length)
+            raw_records = gather(raw, offsets, form.length)
             yield RecordRows(
                 number,
-                rows=records.view(form.dtype),
+                records=raw_records.view(form.dtype),
                 places=offsets.astype(np.int64) + block.base,
             )
 
@@ -109,7 +109,7 @@ def _fill(tables: Mapping[int, Table], walker: RecordWalker) -> None:
     is_wanted = np.zeros(len(walker.definitions), np.bool_)
     is_wanted[list(tables)] = True
     filled_rows = dict.fromkeys(tables, 0)
-    for number, rows, places in read_records(walker, is_wanted):
+    for number, records, places in read_records(walker, is_wanted):
         begin = filled_rows[number]
         end = begin + places.shape[0]
         filled_rows[number] = end
@@ -119,9 +119,9 @@ def _fill(tables: Mapping[int, Table], walker: RecordWalker) -> None:
             if name == PLACE:
                 block[:] = places
             elif name in divisors:
-                np.divide(rows[name], divisors[name], out=block)
+                np.divide(records[name], divisors[name], out=block)
             else:
-                block[:] = rows[name]
+                block[:] = records[name]
 
 
 def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:

@@ -75,10 +75,10 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
 def compare_with_recorder(
     channels: Sequence[Channel], recorded_ns: int | None, ledger: Ledger
 ) -> None:
-    """Report stamps that are more than a minute from log_time; ``recorded_ns`` is the first one.
+    """Report it if the first stamp is more than a minute from the first log_time, ``recorded_ns``.
 
-    Stamps and log_time are of clocks of computers, and neither clock need be right. Dates that no
-    log can have are judged elsewhere.
+    That is in Unix ns, None if unknown. Stamps and log_time are of clocks of computers, and neither
+    clock need be right. Dates that no log can have are judged elsewhere.
     """
     begins_ns = [int(channel.time_ns[0]) for channel in channels if len(channel)]
     if recorded_ns is None or not begins_ns or not is_possible(min(begins_ns)):
@@ -141,7 +141,7 @@ def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
     is_boot = np.zeros(starts.shape, np.bool_)
     if starts.size:
         for samples in series:
-            if samples.counted:
+            if samples.from_integer:
                 is_boot |= _steps_back_at(line, starts, samples)
     marks = np.zeros(line.boot.shape, np.int16)
     marks[starts] = is_boot
@@ -204,7 +204,7 @@ def boot_clock_of(
             cameras.append(replace(readings, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY))
     utc_of = "GNSS message with a fix and no log_time"
     clock = fit_clock(
-        line, receivers, ledger, recorder, cameras=cameras, utc_of=utc_of, witnesses=witnesses
+        line, receivers, ledger, recorder, fallbacks=cameras, utc_of=utc_of, witnesses=witnesses
     )
     for number, fit in enumerate(clock.fits):
         if fit is not None and not clock.utc_known[number]:
@@ -254,19 +254,19 @@ def _refuse_undecoded(reader: McapReader, name: str) -> None:
 
 
 def _tables_of(topic: topics.Topic, clock: BootClock) -> Iterator[Table]:
-    """A table of the messages that count time from a boot, and one of the others.
+    """A table of the messages whose times were integers (see `OwnTimes`), and one of the others.
 
     The blocks of the topic are removed, so that memory does not hold them twice.
     """
-    for counted in (False, True):
-        blocks = topic.blocks[counted]
-        topic.blocks[counted] = []
+    for from_integer in (False, True):
+        blocks = topic.blocks[from_integer]
+        topic.blocks[from_integer] = []
         if not blocks:
             continue
         block = in_order(blocks)
         del block[SEQUENCE]
         log_ns = block.pop(LOG_TIME)
-        places = block[PLACE] if counted else None
+        places = block[PLACE] if from_integer else None
         times = times_of(block.pop(STAMP), log_ns, places, clock, ledger=Ledger(), topic=topic.name)
         table: Table = {"time_ns": times.time_ns, "boot": times.boot, "log_time_ns": log_ns}
         yield table | block

@@ -118,10 +118,14 @@ def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None
 
 
 class OwnTimes(NamedTuple):
-    """The times [ns] that messages carry, 0 without; ``counted``: in us, maybe from a boot."""
+    """The times [ns] that messages carry, 0 without.
+
+    ``from_integer``: each was one integer of microseconds, since a boot or since 1970; False for a
+    Time with seconds and nanoseconds, and for messages without a time.
+    """
 
     time_ns: TimeArray
-    counted: bool
+    from_integer: bool
 
 
 def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
@@ -134,7 +138,7 @@ def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
     Messages without any of these have the time 0.
     """
     if STAMP in columns:
-        return OwnTimes(columns[STAMP], counted=False)
+        return OwnTimes(columns[STAMP], from_integer=False)
     numbers = {name: column for name, column in columns.items() if is_number(column)}
     if f"{time_field}.sec" in numbers:
         seconds = whole_numbers(numbers[f"{time_field}.sec"], 0, _LAST_S)
@@ -143,10 +147,10 @@ def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
             if name in numbers:
                 time_ns = time_ns + whole_numbers(numbers[name], 0, _MOST_PART_NS)
                 break
-        return OwnTimes(time_ns, counted=False)
+        return OwnTimes(time_ns, from_integer=False)
     if time_field in numbers and numbers[time_field].dtype.kind in "iu":
-        return OwnTimes(nanoseconds(columns[time_field]), counted=True)
-    return OwnTimes(np.zeros(count, np.int64), counted=False)
+        return OwnTimes(nanoseconds(columns[time_field]), from_integer=True)
+    return OwnTimes(np.zeros(count, np.int64), from_integer=False)
 
 
 def since_boot(stamp_ns: TimeArray) -> Mask:
@@ -207,12 +211,12 @@ def times_of(
     ``places`` of messages whose stamps are in microseconds, maybe since a boot; None of others.
     """
     if places is None:
-        is_counted = np.zeros(stamp_ns.shape, np.bool_)
+        is_since_boot = np.zeros(stamp_ns.shape, np.bool_)
         time_ns = stamp_ns
         boot = np.zeros(stamp_ns.shape, np.int16)
     else:
-        is_counted = since_boot(stamp_ns)
-        time_ns = np.where(is_counted, clock.utc(places, stamp_ns), stamp_ns)
+        is_since_boot = since_boot(stamp_ns)
+        time_ns = np.where(is_since_boot, clock.utc(places, stamp_ns), stamp_ns)
         boot = clock.line.boot_of(places)
     is_unstamped = stamp_ns == 0
     unstamped = int(np.count_nonzero(is_unstamped))
@@ -221,7 +225,7 @@ def times_of(
         time_ns = np.where(is_unstamped, log_ns, time_ns)
     # times since a boot are small where UTC is unknown, which is reported elsewhere
     is_before_2001 = time_ns < UNIX_NS_FROM
-    is_early = is_before_2001 & ~is_counted
+    is_early = is_before_2001 & ~is_since_boot
     if bool(is_early.any()):
         ledger.add(messages.stamps_before_2001(topic=topic))
     return MessageTimes(

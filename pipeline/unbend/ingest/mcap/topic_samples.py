@@ -147,9 +147,9 @@ class TopicSamples:
     name: str
     source: Source
     spec: MessageMap
-    counted: bool = False  # stamps are microseconds, maybe since a boot
+    from_integer: bool = False  # stamps were integers of microseconds (see `OwnTimes`)
     stamp_ns: ColumnStore = field(default_factory=_int64_store)  # of the messages, 0 without
-    places: ColumnStore = field(default_factory=_int64_store)  # in the whole log, of counted stamps
+    places: ColumnStore = field(default_factory=_int64_store)  # in the whole log, if from_integer
     sequence: ColumnStore = field(default_factory=_uint32_store)  # numbers of the other messages
     log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
     """The recorder's times of blocks in which messages have no stamp, and the block's first row."""
@@ -164,7 +164,7 @@ class TopicSamples:
         before = len(self.stamp_ns)
         count = columns[STAMP].shape[0]
         self.stamp_ns.add(columns[STAMP])
-        if self.counted:
+        if self.from_integer:
             self.places.add(columns[PLACE])
         else:
             self.sequence.add(columns[SEQUENCE])
@@ -206,7 +206,7 @@ class TopicSamples:
 
     def utc_readings(self) -> UtcReadings | None:
         """UTC beside the time since boot in these messages; None where they have none."""
-        if not self.counted or not len(self.utc_us):
+        if not self.from_integer or not len(self.utc_us):
             return None
         utc_us = _copied(self.utc_us)
         stamp_ns = _copied(self.stamp_ns)
@@ -232,7 +232,7 @@ class TopicSamples:
         for first, part in self.log_ns:
             log_ns[first : first + part.shape[0]] = part
         self.log_ns.clear()
-        places = self.places.whole() if self.counted else None
+        places = self.places.whole() if self.from_integer else None
         times = times_of(stamp_ns, log_ns, places, clock, ledger=ledger, topic=self.name)
         rows = DecodedRows(
             name=self.name,

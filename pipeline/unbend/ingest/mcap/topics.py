@@ -63,15 +63,15 @@ class SeriesKey(NamedTuple):
     """Which samples of a topic go into one series.
 
     name : a name in its messages; None where these have no names.
-    counted : whether their times are a count of microseconds (see `own_times`), maybe from a boot.
+    from_integer : whether their times were integers (see `OwnTimes`).
     """
 
     name: str | None
-    counted: bool
+    from_integer: bool
 
 
 def _no_blocks() -> dict[bool, list[Columns]]:
-    """Lists of columns, still empty, by whether the times are counted (see `SeriesKey`)."""
+    """Lists of columns, still empty, by whether the times were integers (see `OwnTimes`)."""
     return {False: [], True: []}
 
 
@@ -81,7 +81,7 @@ class Topic:
 
     Its messages become channels or a table. series : for channels, the samples of each name in the
     messages (`rows_by_name`); None for a table. blocks : for a table, its columns batch by batch,
-    those with counted times (see `SeriesKey`) apart.
+    those with times from integers (see `OwnTimes`) apart.
 
     failed : how many messages could not be decoded.
     nameless : how many messages were left out because their names are beyond `MAX_NAMES`.
@@ -128,23 +128,25 @@ class Topic:
             columns[LOG_TIME] = batch.log_time[rows_done]
             columns[PLACE] = rows_done + before
             columns[SEQUENCE] = batch.sequence[rows_done]
-            blocks[times.counted].append(columns)
+            blocks[times.from_integer].append(columns)
         stamps = []
         if self.series is not None:
-            for counted, parts in blocks.items():
+            for from_integer, parts in blocks.items():
                 if parts:
-                    stamps += self._add_samples(in_order(parts), self.series, counted=counted)
+                    stamps += self._add_samples(
+                        in_order(parts), self.series, from_integer=from_integer
+                    )
         return stamps
 
     def _add_samples(
-        self, block: Columns, series: dict[SeriesKey, TopicSamples], *, counted: bool
+        self, block: Columns, series: dict[SeriesKey, TopicSamples], *, from_integer: bool
     ) -> list[BootStamps]:
         """Add messages to the series of their names; returns the stamps that count from a boot.
 
         Names beyond `MAX_NAMES` get no series, but their stamps are returned too.
         """
         for name, rows in rows_by_name(block, self.spec.id_field):
-            key = SeriesKey(name, counted)
+            key = SeriesKey(name, from_integer)
             if key not in series:
                 count = int(block[PLACE][rows].shape[0])
                 if len(series) >= MAX_NAMES:
@@ -156,7 +158,7 @@ class Topic:
             part = {path: column[rows] for path, column in block.items()}
             series[key].add(part)
         from_boot = since_boot(block[STAMP])
-        if not counted or not bool(from_boot.any()):
+        if not from_integer or not bool(from_boot.any()):
             return []
         return [
             BootStamps(block[PLACE][from_boot], block[STAMP][from_boot], block[LOG_TIME][from_boot])
@@ -169,7 +171,7 @@ class Topic:
             name=label,
             source=Source(self.schema, key.name),
             spec=self.spec,
-            counted=key.counted,
+            from_integer=key.from_integer,
         )
 
     def named_series(self) -> list[TopicSamples]:

@@ -293,7 +293,7 @@ def _clock(
         _ONE_BOOT,
         _utc_readings(log.rows, sources, "position", UTC_FIELD),
         ledger,
-        cameras=unchecked,
+        fallbacks=unchecked,
         utc_of="GPS row with a fix and UTC",
         witnesses=[*witnesses, *of_boot],
     )

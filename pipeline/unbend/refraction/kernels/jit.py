@@ -26,8 +26,8 @@ from numba.core.event import Listener, register
 
 from unbend.caches import OF_COMPILED, compiled_code
 
-ROOM = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-COMPILED_FOLDERS = ("camera", "kernels")  # of that room
+PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+COMPILED_FOLDERS = ("camera", "kernels")  # of that package
 COMPILED_FILES = ("status_codes.py",)
 UNUSED_FOR_S = 7 * 86_400.0  # the folder of other sources is then removed
 COMPILED_WITHIN_S = 300.0  # the slowest takes 15 s; another process may be stopped
@@ -54,21 +54,21 @@ class _NoteOfCompiling(Listener):  # type: ignore[misc]
 register("numba:compile", _NoteOfCompiling())
 
 
-def compiled_sources(room: str = ROOM) -> list[str]:
-    """Paths, within a room, of every source that may be compiled in."""
+def compiled_sources(package: str = PACKAGE) -> list[str]:
+    """Paths, within a package, of every source that may be compiled in."""
     names = list(COMPILED_FILES)
     for folder in COMPILED_FOLDERS:
-        for name in sorted(os.listdir(os.path.join(room, folder))):
+        for name in sorted(os.listdir(os.path.join(package, folder))):
             if name.endswith(".py"):
                 names.append(f"{folder}/{name}")
     return names
 
 
-def source_hash(room: str = ROOM) -> str:
+def source_hash(package: str = PACKAGE) -> str:
     """16 hexadecimal digits of the compiler's version and every source: 1 ms."""
     digest = sha256(f"{numba.__version__} {version('llvmlite')}".encode())
-    for name in compiled_sources(room):
-        with open(os.path.join(room, name), "rb") as source:
+    for name in compiled_sources(package):
+        with open(os.path.join(package, name), "rb") as source:
             digest.update(f"\0{name}\0".encode())
             digest.update(source.read())
     return digest.hexdigest()[:16]

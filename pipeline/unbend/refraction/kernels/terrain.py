@@ -364,6 +364,7 @@ def _follow(path, grid, ray, state):  # type: ignore[no-untyped-def]
         length = _length_of_step(path, at, velocity, around, end - t)
         t_1 = t + length
         at_1 = place_at(path, t_1)
+        # Read only where around.is_near: else the slot may be none.
         patch = _Patch(
             tiles=grid.tiles,
             slot=box.slot,

@@ -95,7 +95,7 @@ def _block_of(grid, tile_box, slot):  # type: ignore[no-untyped-def]
     m = tile_box.cell[1] // BLOCK
     top = tile_box.edges.top + k * BLOCK
     left = tile_box.edges.left + m * BLOCK
-    # Columns alone may be cut off, where they have gone round the earth (`_tile_at`).
+    # Only the columns of a tile can be no multiple of BLOCK: at the end of a round (`_tile_at`).
     right = min(left + BLOCK, tile_box.edges.right)
     return Box(
         tile=tile_box.tile,

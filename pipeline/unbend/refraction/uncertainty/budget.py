@@ -155,10 +155,10 @@ def _directions_of_image(camera: Camera) -> Array:
     x = grid_x.ravel() * camera.width_px
     y = grid_y.ravel() * camera.height_px
     u, v, covered = camera.rays(x, y)
-    rays = np.stack([u, v, np.ones(u.size)], axis=1)
-    rays = rays[covered]
-    length = np.linalg.norm(rays, axis=1)
-    return np.asarray(rays / length[:, None])
+    vectors = np.stack([u, v, np.ones(u.size)], axis=1)
+    vectors = vectors[covered]
+    length = np.linalg.norm(vectors, axis=1)
+    return np.asarray(vectors / length[:, None])
 
 
 def leading_mode(

@@ -321,13 +321,18 @@ def angles_of_mounts(facts: Facts) -> Findings:
     for name, mount in facts.mission.mount.items():
         for key in ("roll_deg", "pitch_deg", "yaw_deg"):
             value = getattr(mount, key)
-            degrees = math.degrees(value)
-            steps = degrees / ANGLE_STEP_DEG
-            whole_steps = round(steps)  # 0 of a boresight angle, which is as small in radians
+            degrees_if_radians = math.degrees(value)
+            steps = degrees_if_radians / ANGLE_STEP_DEG
+            # 0 for a small (boresight) angle, which says nothing about the unit
+            whole_steps = round(steps)
             is_multiple = whole_steps != 0 and abs(steps - whole_steps) < LARGEST_STEP_ERROR
             if is_multiple and abs(value) <= math.tau:
                 yield messages.angle_in_radians(
-                    where=f"mount.{name}.{key}", name=name, angle=key, value=value, deg=degrees
+                    where=f"mount.{name}.{key}",
+                    name=name,
+                    angle=key,
+                    value=value,
+                    deg=degrees_if_radians,
                 )
 
 

@@ -1,4 +1,7 @@
-"""What an export format is: its name, its options, what it is given, and what it writes."""
+"""What an export format is: its name, its options, what it is given, and what it writes.
+
+Formats are registered in exports/__init__.py.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

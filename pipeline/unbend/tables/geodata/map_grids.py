@@ -181,7 +181,7 @@ def open_grid(
 
     ``crs`` as PROJ knows it, EPSG:25832 or EPSG:25832+7837. ``geoid`` is the user's grid that
     belongs to its vertical part. Refuses (ConfigError EXPORT-CRS) what is no such system, or cannot
-    be reached; where it ``needs_angles`` also a geographic one.
+    be reached. With ``needs_angles`` a geographic system is refused, too.
     """
     parts = parts_of(crs)
     horizontal = parts.horizontal
@@ -189,15 +189,14 @@ def open_grid(
     is_known = np.isfinite(lat_rad) & np.isfinite(lon_rad)
     if not is_known.any():
         raise messages.grid_without_places(crs=crs)
-    places = np.stack([lon_rad[is_known], lat_rad[is_known]])
-    lon_lat = np.degrees(places)
-    area = horizontal.area_of_use.name if horizontal.area_of_use else "the earth"
-    if not is_in_area(horizontal, lon_lat, MARGIN_DEG).all():
-        raise messages.grid_elsewhere(crs=crs, name=horizontal.name, area=area)
-    best = best_operation("EPSG:4326", lon_lat, horizontal.to_2d())
+    lon_lat_rad = np.stack([lon_rad[is_known], lat_rad[is_known]])
+    lon_lat_deg = np.degrees(lon_lat_rad)
+    if not is_in_area(horizontal, lon_lat_deg, MARGIN_DEG).all():
+        raise messages.grid_elsewhere(crs=crs, name=horizontal.name, area=area_of(horizontal))
+    best = best_operation("EPSG:4326", lon_lat_deg, horizontal.to_2d())
     if best is None:
         raise messages.grid_ballpark(crs=crs, name=horizontal.name)
-    height, height_notes = height_reference(crs, parts, geoid, places)
+    height, height_notes = height_reference(crs, parts, geoid, lon_lat_rad)
     grid = MapGrid(
         identifier=identifier_of(crs, parts.whole.to_authority(min_confidence=100)),
         name=parts.whole.name,
@@ -211,22 +210,30 @@ def open_grid(
         operation=best.by,
         transformer=best.transformer,
     )
-    notes = [
-        messages.grid_reached(
-            count=lon_lat.shape[1],
-            crs=crs,
-            name=grid.name,
-            operation=best.by,
-            is_good=best.is_good,
-        ),
-        *height_notes,
-    ]
-    outside = int(np.sum(~is_in_area(horizontal, lon_lat, margin_deg=0.0)))
-    if outside:
-        notes.append(messages.grid_beyond_area(count=outside, name=horizontal.name, area=area))
     if not grid.is_geographic:
         refuse_left_handed(grid, crs, lat_rad[is_known][:1], lon_rad[is_known][:1])
-    return grid, tuple(notes)
+    reached = messages.grid_reached(
+        count=lon_lat_deg.shape[1],
+        crs=crs,
+        name=grid.name,
+        operation=best.by,
+        is_good=best.is_good,
+    )
+    return grid, (reached, *height_notes, *_notes_of_area(horizontal, lon_lat_deg))
+
+
+def area_of(horizontal: CRS) -> str:
+    """The name of the area in which a system is meant to be used."""
+    return horizontal.area_of_use.name if horizontal.area_of_use else "the earth"
+
+
+def _notes_of_area(horizontal: CRS, lon_lat_deg: Array) -> Notes:
+    """How many of (2, n) places are beyond the area of a system, if any are."""
+    outside = int(np.sum(~is_in_area(horizontal, lon_lat_deg, margin_deg=0.0)))
+    if not outside:
+        return ()
+    name = horizontal.name
+    return (messages.grid_beyond_area(count=outside, name=name, area=area_of(horizontal)),)
 
 
 def utm_zone(lat_deg: float, lon_deg: float) -> str | None:

@@ -762,7 +762,7 @@ def grid_elsewhere(*, crs: str, name: str, area: str) -> ConfigError:
 
 
 def grid_ballpark(*, crs: str, name: str) -> ConfigError:
-    """PROJ has only a transformation without known accuracy."""
+    """PROJ transforms to the system of an export without known accuracy."""
     return ConfigError(
         EXPORT_CRS,
         "{name} ({crs}) has no transformation from WGS 84 with a known accuracy",

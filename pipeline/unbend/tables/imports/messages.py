@@ -1093,7 +1093,7 @@ def orientation_position(
     swapped: bool,
     key: str,
 ) -> InputError:
-    """Latitudes or longitudes beyond their range; ``swapped`` where exchanging them helps."""
+    """Latitudes or longitudes are beyond their range; ``swapped``: each could be the other."""
     hint = "; are latitude and longitude exchanged?" if swapped else ""
     return InputError(
         ORIENTATION_POSITION,

@@ -28,7 +28,7 @@ from unbend.units import (
     Mask,
 )
 
-LARGEST_LONGITUDE_RAD = 2.0 * np.pi
+LARGEST_LONGITUDE_RAD = 2.0 * np.pi  # files count to ±180 or to 360 deg
 HEIGHT_COLUMNS = {"h_ellipsoid_m", "h_msl_m"}
 LARGEST_SIGMA = 1e6  # metres or radians: a larger one stands for an unknown place
 FASTEST_M_S = 1000.0  # no aircraft that takes images is as fast
@@ -136,10 +136,10 @@ def read_text(path: Path) -> list[str]:
     return [line for line in lines if line.strip()]
 
 
-def _has_place(columns: Mapping[str, Array]) -> Mask:
-    """(n,) False where the place is 0, 0, which stands for an unknown one, or none on earth.
+def _is_place_possible(columns: Mapping[str, Array]) -> Mask:
+    """(n,) False where the place is 0, 0, which stands for an unknown one, or not on earth.
 
-    Unknown (NaN) is no reason: a row without a position is kept for what else it has.
+    True where it is unknown (NaN): a row without a position is kept for what else it has.
     """
     is_at_equator = columns["lat_rad"] == 0.0
     is_at_greenwich = columns["lon_rad"] == 0.0
@@ -251,7 +251,7 @@ def channel_of_rows(
     readable = readable & can_be_flown(time_ns)
     # First: in another unit than stated all places are none.
     _refuse_beyond_poles(path, columns["lat_rad"][readable])
-    readable = readable & _has_place(columns)
+    readable = readable & _is_place_possible(columns)
     rows = _rows_in_time(path, time_ns, readable, ledger)
     values = {name: column[rows] for name, column in columns.items()}
     labels_of_rows = {}

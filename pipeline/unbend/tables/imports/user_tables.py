@@ -309,7 +309,6 @@ def _positions(value: Mapping[str, Array], path: Path, key: str, lines: "pd.Inde
         degrees = value[quantity]
         is_wrong = np.abs(degrees) > limit
         if bool(is_wrong.any()):
-            can_be_longitudes = bool((np.abs(degrees) <= 360.0).all())
             row = int(np.argmax(is_wrong))
             raise messages.orientation_position(
                 path=path,
@@ -318,7 +317,7 @@ def _positions(value: Mapping[str, Array], path: Path, key: str, lines: "pd.Inde
                 limit=limit,
                 quantity=quantity,
                 first=float(degrees[row]),
-                swapped=quantity == "latitude" and can_be_longitudes,
+                swapped=quantity == "latitude" and _could_be_exchanged(value),
                 key=key,
             )
     lat = np.radians(value["latitude"])
@@ -327,6 +326,13 @@ def _positions(value: Mapping[str, Array], path: Path, key: str, lines: "pd.Inde
     is_unset = (lat == 0.0) & (lon == 0.0)  # as programs fill fields that they do not know
     position[is_unset] = np.nan
     return position
+
+
+def _could_be_exchanged(value: Mapping[str, Array]) -> bool:
+    """Whether all latitudes [deg] could be longitudes, and all longitudes latitudes."""
+    is_longitude = np.abs(value["latitude"]) <= LIMITS_DEG["longitude"]
+    is_latitude = np.abs(value["longitude"]) <= LIMITS_DEG["latitude"]
+    return bool(np.all(is_longitude & is_latitude))
 
 
 @dataclass(frozen=True, eq=False)

@@ -666,6 +666,11 @@ def test_archive_and_tables_hold_the_same_camera(strasbourg):
             "is not valid XML",
         ),
         (
+            "sxb.xml",
+            ("report>", "other>"),
+            "the script names no report",
+        ),
+        (
             "markpts.txt",
             (", 1, ", ", 9, ", 1),
             "markpts.txt, line 2",
@@ -693,6 +698,16 @@ def test_what_of_dbat_cannot_be_read(script, file, change, words):
     assert change[0] in text
     path.write_text(text.replace(*change), encoding="utf-8")
     assert words in refusal(script, "dbat")
+
+
+def test_a_script_of_dbat_with_two_cameras_says_so(script):
+    text = script.read_text(encoding="utf-8")
+    before, camera, after = re.split("(<camera>.*</camera>)", text, flags=re.DOTALL)
+    other = camera.replace("<camera>", "<camera><id>7</id>")
+    script.write_text(before + camera + other + after, encoding="utf-8")
+    said = refusal(script, "dbat")
+    assert "it has 2 cameras; only one can be read" in said
+    assert "report" not in said
 
 
 def test_lens_distortion_of_dbat_is_a_correction_in_powers_of_mm(script):

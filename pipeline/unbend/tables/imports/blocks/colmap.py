@@ -220,7 +220,7 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
                 places.append(place)
                 content.skip(8 * track)
     else:
-        for row in _text_rows(file, words=1, least=8):
+        for row in _text_rows(file, leading_words=1, fewest_fields=8):
             numbers.append(row.words[0])
             places.append(row.numbers[:3])
     names = pa.array(numbers, pa.string())
@@ -234,7 +234,7 @@ def _cameras(file: Path) -> Iterator[_CameraRecord]:
     elif file.suffix.lower() == ".bin":
         yield from _cameras_of_binary(file)
     else:
-        for row in _text_rows(file, words=2, least=5):
+        for row in _text_rows(file, leading_words=2, fewest_fields=5):
             number, model = row.words
             width, height, *parameters = row.numbers
             yield _CameraRecord(
@@ -339,19 +339,19 @@ class _TextRow:
     numbers: list[float]
 
 
-def _text_rows(file: Path, *, words: int, least: int) -> Iterator[_TextRow]:
-    """The lines of a text that are no comments, with so many words and ``least`` fields in all."""
+def _text_rows(file: Path, *, leading_words: int, fewest_fields: int) -> Iterator[_TextRow]:
+    """The lines of a text that are no comments: ``leading_words``, then numbers alone."""
     count = 0
     with TextFile(file) as lines:
         for line in lines:
             if not line or line.startswith("#"):
                 continue
             fields = line.split()
-            if len(fields) < least:
+            if len(fields) < fewest_fields:
                 raise ValueError
             count += 1
-            numbers = [float(field) for field in fields[words:]]
-            yield _TextRow(lines.number, fields[:words], numbers)
+            numbers = [float(field) for field in fields[leading_words:]]
+            yield _TextRow(lines.number, fields[:leading_words], numbers)
     refuse_missing_records(file, count)
 
 

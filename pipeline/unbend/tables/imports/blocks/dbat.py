@@ -64,37 +64,36 @@ def read_images(path: Path) -> OrientationTable:
     """The images with the orientations of the report."""
     report_name = _root(path).findtext("output/files/report/file")
     cameras = read_cameras(path)
-    if report_name is None or len(cameras) != 1:
-        raise messages.dbat_cameras(
-            where=path,
-            cameras=len(cameras),
-        )
-    numbers = _numbers_of_photos(_beside(path, report_name))
-    orientation = np.array([*numbers.values()])
+    if report_name is None:
+        raise messages.dbat_without_report(where=path)
+    if len(cameras) != 1:
+        raise messages.dbat_cameras(where=path, cameras=len(cameras))
+    orientation_of_photo = _orientation_of_photos(_beside(path, report_name))
+    orientation = np.array([*orientation_of_photo.values()])
     orientation = orientation.reshape(-1, NUMBERS_OF_PHOTO)
     angles_rad = np.radians(orientation[:, :3])
     return image_points.oriented_images(
-        image=[*numbers],
-        camera=[*cameras] * len(numbers),
+        image=[*orientation_of_photo],
+        camera=[*cameras] * len(orientation_of_photo),
         position=orientation[:, 3:],
         quaternion=quaternion_of_opk(angles_rad, "omega_phi_kappa"),
     )
 
 
-def _numbers_of_photos(report: Path) -> dict[str, list[float]]:
+def _orientation_of_photos(report: Path) -> dict[str, list[float]]:
     """Omega, phi, kappa [deg] and X, Y, Z of each photo of a report, by its name."""
     content = "\n".join(read_text(report))
     orientations, _, _ = content.partition("\n   Quality")
     parts = _PHOTO.split(orientations)
     photos = parts[1::2]
     texts = parts[2::2]
-    numbers_of_photo = {}
+    orientation_of_photo = {}
     for photo, text in zip(photos, texts, strict=True):
         numbers = [float(value) for value in _VALUE.findall(text)]
         if len(numbers) != NUMBERS_OF_PHOTO:
             raise messages.orientation_cut(where=report, image=photo)
-        numbers_of_photo[_name_of(photo)] = numbers
-    return numbers_of_photo
+        orientation_of_photo[_name_of(photo)] = numbers
+    return orientation_of_photo
 
 
 def read_places(_: Path) -> tuple[KnownPlaces, ...]:

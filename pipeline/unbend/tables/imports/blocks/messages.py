@@ -512,12 +512,21 @@ def dbat_version(*, where: Path | str, version: str) -> InputError:
 
 
 def dbat_cameras(*, where: Path | str, cameras: int) -> InputError:
-    """A script of no or several cameras, or without the report of an adjustment."""
+    """A script of no or several cameras: its report does not say which image is of which."""
     return _damaged(
         where,
-        "it has {cameras}; only one can be read, with the report that the script names",
-        remedy="run DBAT, or give stations.orientation",
+        "it has {cameras}; only one can be read",
+        remedy="give stations.orientation",
         cameras=Counted(cameras, "camera"),
+    )
+
+
+def dbat_without_report(*, where: Path | str) -> InputError:
+    """A script that does not name the report of an adjustment."""
+    return _damaged(
+        where,
+        "the script names no report, which has the orientations",
+        remedy="run DBAT with output/files/report, or give stations.orientation",
     )
 
 
