@@ -195,11 +195,7 @@ def _refuse_large_distortion(camera: Camera) -> None:
     Looked at where rays to the borders of the image would meet it without a distortion.
     """
     without_distortion = replace(camera, distortion=type(camera.distortion)())
-    across = np.linspace(0.0, camera.width_px, _BORDER_POINTS)
-    down = np.linspace(0.0, camera.height_px, _BORDER_POINTS)
-    left = np.zeros(_BORDER_POINTS)
-    x = np.concatenate([across, across, left, left + camera.width_px])
-    y = np.concatenate([left, left + camera.height_px, down, down])
+    x, y = _border(camera)
     u, v, covered = without_distortion.rays(x, y)
     covered &= np.hypot(u, v) <= camera.largest_radius
     with np.errstate(all="ignore"):
@@ -216,6 +212,16 @@ def _refuse_large_distortion(camera: Camera) -> None:
             distance_px=distance_px[first],
             distorted_px=distorted_px[first],
         )
+
+
+def _border(camera: Camera) -> tuple[Array, Array]:
+    """x and y (n,) [px] of points on the four borders of an image, its corners among them."""
+    across = np.linspace(0.0, camera.width_px, _BORDER_POINTS)
+    down = np.linspace(0.0, camera.height_px, _BORDER_POINTS)
+    first = np.zeros(_BORDER_POINTS)
+    x = np.concatenate([across, across, first, first + camera.width_px])
+    y = np.concatenate([first, first + camera.height_px, down, down])
+    return x, y
 
 
 def _refuse_turning_distortion(camera: Camera) -> None:

@@ -69,13 +69,15 @@ def read_images(path: Path) -> OrientationTable:
     if len(cameras) != 1:
         raise messages.dbat_cameras(where=path, cameras=len(cameras))
     orientation_of_photo = _orientation_of_photos(_beside(path, report_name))
-    orientation = np.array([*orientation_of_photo.values()])
+    photos = list(orientation_of_photo)
+    orientation = np.array(list(orientation_of_photo.values()))
     orientation = orientation.reshape(-1, NUMBERS_OF_PHOTO)
     angles_rad = np.radians(orientation[:, :3])
+    position = orientation[:, 3:]
     return image_points.oriented_images(
-        image=[*orientation_of_photo],
-        camera=[*cameras] * len(orientation_of_photo),
-        position=orientation[:, 3:],
+        image=photos,
+        camera=list(cameras) * len(photos),
+        position=position,
         quaternion=quaternion_of_opk(angles_rad, "omega_phi_kappa"),
     )
 
