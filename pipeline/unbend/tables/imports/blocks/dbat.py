@@ -73,12 +73,13 @@ def read_images(path: Path) -> OrientationTable:
     orientation = np.array(list(orientation_of_photo.values()))
     orientation = orientation.reshape(-1, NUMBERS_OF_PHOTO)
     angles_rad = np.radians(orientation[:, :3])
+    quaternion = quaternion_of_opk(angles_rad, "omega_phi_kappa")
     position = orientation[:, 3:]
     return image_points.oriented_images(
         image=photos,
         camera=list(cameras) * len(photos),
         position=position,
-        quaternion=quaternion_of_opk(angles_rad, "omega_phi_kappa"),
+        quaternion=quaternion,
     )
 
 
