@@ -183,6 +183,7 @@ CLEAN = pd.DataFrame(
 )
 NO_HEIGHTS = {"geopotential_m": None}
 NO_DEW_POINT = {"dew_point_c": None}
+EXCHANGED = {"temperature_c": lapsing(5.0), "dew_point_c": lapsing(15.0)}
 
 
 def air(**columns):
@@ -304,12 +305,40 @@ def test_unsorted_levels_are_sorted(clean, order):
         (NO_DEW_POINT | {"relative_humidity_percent": ZEROS + 0.55}, "fraction of one"),
         (NO_DEW_POINT | {"vapour_pressure_hpa": ZEROS + 850.0}, "vapour pressure"),
         ({"dew_point_c": 4.0 + 0.002 * HEIGHTS}, "depressions"),
+        # In frost depressions are above all temperatures.
+        (
+            {"temperature_c": lapsing(-5.0), "dew_point_c": 2.0 + 0.002 * HEIGHTS},
+            "depressions",
+        ),
+        (EXCHANGED, "temperature and dew point seem exchanged"),
+        # Moist air: 1.5 K are less than half as much vapour again.
+        (
+            {"temperature_c": lapsing(13.5), "dew_point_c": lapsing(15.0)},
+            "above the temperature in 100 % of the levels",
+        ),
+        # As warm as that only depressions are never negative.
+        (
+            {"temperature_c": lapsing(-5.0), "dew_point_c": 40.0 - 0.0065 * HEIGHTS},
+            "temperature and dew point seem exchanged",
+        ),
     ],
 )
 def test_wrong_units_are_refused(columns, words):
     with input_refused("SOUNDING-UNITS", words) as caught:
         read(air(**columns))
     assert caught.value.where
+
+
+@pytest.mark.parametrize(
+    "dew_point_c",
+    [
+        lapsing(15.9),  # rounding, and sensors in cloud
+        np.where(HEIGHTS < 3000.0, lapsing(17.0), lapsing(10.0)),  # half of the levels
+    ],
+)
+def test_dew_points_a_little_above_temperatures_are_kept(dew_point_c):
+    _, notes = read(air(dew_point_c=dew_point_c))
+    assert "SOUNDING-HUMIDITY-OVER" in notes
 
 
 @pytest.mark.parametrize(

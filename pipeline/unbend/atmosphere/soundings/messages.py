@@ -1125,6 +1125,24 @@ def sounding_too_wet(
     )
 
 
+def sounding_dew_points_exchanged(*, where: str, column: str, percent: float) -> InputError:
+    """Dew points above the temperatures in nearly all levels."""
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column(
+            (
+                "the dew point is above the temperature in {percent:.0f} % of the levels, which is "
+                "impossible: temperature and dew point seem exchanged"
+            ),
+            column,
+        ),
+        where=where,
+        remedy="exchange temperature and dew point: the names of the columns, or their values",
+        column=column,
+        percent=percent,
+    )
+
+
 def sounding_pressure_unit(
     *, where: str, column: str, highest_pa: float, likely: str
 ) -> InputError:
