@@ -642,24 +642,6 @@ def sounding_empty(*, where: object) -> InputError:
     )
 
 
-SOUNDING_FAR_IN_TIME = Code(
-    "SOUNDING-FAR-IN-TIME",
-    means="The nearest sounding is many hours away from the flight.",
-    effect="It weighs less for that.",
-    remedy="Give one of the time of the flight.",
-)
-
-
-def sounding_far_in_time(*, where: str, hours: float) -> Message:
-    """The nearest sounding is many hours away from the flight."""
-    return warning(
-        SOUNDING_FAR_IN_TIME,
-        "the nearest sounding is {hours:.0f} hours away from the flight",
-        where=where,
-        hours=hours,
-    )
-
-
 SOUNDING_FORMAT = Code(
     "SOUNDING-FORMAT",
     means="The file is not a sounding of the format that is stated or detected.",
