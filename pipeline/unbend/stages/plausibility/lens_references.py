@@ -20,9 +20,7 @@ SMALLEST_SHIFT_PX = 0.05  # in the corner of an image: less cannot be measured
 
 
 def lens_references(facts: Facts) -> Iterator[Message]:
-    """For a calibration in flight, a reference that is nearer to the air in the lens than to that
-    of the ground, if the difference can be measured.
-    """
+    """For a calibration in flight, a reference that is no air of the ground, if it matters."""
     mission = facts.mission
     for name, lens in mission.lenses.items():
         calibration = mission.cameras[name].calibration
