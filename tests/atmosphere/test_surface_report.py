@@ -117,9 +117,28 @@ def test_unknown_groups_are_said_and_cost_nothing():
 
 
 def test_dew_point_above_temperature_is_saturated():
-    report, ledger = parsed(f"METAR EDDF {WIND} 12/15 Q1013")
+    """By a degree: each may be rounded another way."""
+    report, ledger = parsed(f"METAR EDDF {WIND} 12/13 Q1013")
     assert codes(ledger) == ["METAR-DEW-POINT"]
     assert report.vapour_pressure_pa == saturated(12.0)
+
+
+@pytest.mark.parametrize(
+    ("groups", "exchanged"),
+    [
+        ("10/17 Q1021", "17/10"),
+        ("12/14 Q1013", "14/12"),
+        ("M10/M05 Q1013", "M05/M10"),
+        ("M01/01 Q1013", "01/M01"),
+        ("13/15 A3011 RMK T01280147", "15/13"),
+    ],
+)
+def test_a_dew_point_far_above_the_temperature_is_refused(groups, exchanged):
+    with refused("METAR-DEW-POINT", InputError) as caught:
+        parsed(f"METAR EDDF {WIND} {groups}")
+    assert "perhaps the two are exchanged" in caught.value.what
+    assert f"{exchanged} if they are exchanged" in caught.value.remedy
+    assert groups[:5] in caught.value.where
 
 
 def test_a_whole_dew_point_beside_tenths_is_rounded_not_wrong():

@@ -107,7 +107,15 @@ WRONG_VALUES = yaml.safe_load("""
 - [log.channels.pressure, 5, 'use text or a section {name, unit}, as BARO[0]']
 - - mount.nadir.lever_arm_m
   - [1.0]
-  - 'a list of 1 is not allowed; use a list of 3: each a number from -100 to 100 [m]'
+  - 'a list of 1 is not allowed; use a list of 3: each a number from -50 to 50 [m]'
+- - mount.nadir.lever_arm_m
+  - [0.35, 100, -600]
+  - 'mount.nadir.lever_arm_m[1]: 100 is not allowed; use a number from -50 to 50: lever arms are in
+    metres, and this looks like millimetres'
+- [mount.nadir.lever_arm_m, [0.35, 100, -600], 'lever_arm_m[2]: -600 is not allowed']
+- - stations.trajectory.lever_arm_m
+  - [0.0, 0.0, 900]
+  - 'lever_arm_m[2]: 900 is not allowed; use a number from -50 to 50: lever arms are in metres'
 - [output, null, 'output: is empty; use a section {path, batch_rows}']
 - [ground.height, {colum: 'x'}, "ground.height.colum: unknown key; perhaps 'column'?"]
 - [cameras.nadir.window, {cabin: {presure: 3}}, 'presure: unknown key']

@@ -131,10 +131,11 @@ FLIGHT = "2025-06-12T09:00:00Z"
         (FLIGHT, 47.4, 8.3, set()),
         (FLIGHT, 52.0, 8.3, {"SOUNDING-FAR-AWAY"}),
         (FLIGHT, 71.3, -156.8, {"SOUNDING-FAR-AWAY", "AIR-SOURCE-FAR"}),
-        ("2010-06-12T09:00:00Z", 47.4, 8.3, {"SOUNDING-FAR-IN-TIME", "AIR-SOURCE-FAR"}),
+        ("2025-06-11T09:00:00Z", 47.4, 8.3, {"SOUNDING-FAR-IN-TIME"}),
+        ("2010-06-12T09:00:00Z", 47.4, 8.3, {"AIR-SOURCE-FAR"}),
         ("", 47.4, 8.3, {"SOUNDING-UNDATED"}),
     ],
-    ids=["near", "far", "farther", "old", "undated"],
+    ids=["near", "far", "farther", "of the day before", "old", "undated"],
 )
 def test_a_sounding_of_another_time_or_place(mission, time, north, east, codes):
     text = sounding_text(time_utc=time, latitude_deg=north, longitude_deg=east)
@@ -194,9 +195,10 @@ def test_a_station_is_used_and_named(mission, report, name):
     [
         ("2025-06-12T09:20:00Z", set()),
         (None, {"SURFACE-UNDATED"}),
-        ("1999-01-12T09:20:00Z", {"SURFACE-FAR-IN-TIME", "AIR-SOURCE-FAR"}),
+        ("2025-06-11T09:20:00Z", {"SURFACE-FAR-IN-TIME"}),
+        ("1999-01-12T09:20:00Z", {"AIR-SOURCE-FAR"}),
     ],
-    ids=["near", "undated", "old"],
+    ids=["near", "undated", "of the day before", "old"],
 )
 def test_a_report_of_another_time(mission, time, codes):
     entries = {"h_msl_m": 450, "temperature_c": 18.0, "time_utc": time}

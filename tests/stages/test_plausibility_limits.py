@@ -11,9 +11,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.stages.level_cameras import US1976, stations
+from unbend.messages import Kind
 from unbend.refraction import BrownConrady, Camera
+from unbend.refraction.lens_air import TypicalLens
 from unbend.refraction.status_codes import STATUS_NAMES
+from unbend.refraction.window import Cabin, Window
 from unbend.stages.plausibility import rules
+from unbend.stages.plausibility.lens_references import lens_references
 
 approx = pytest.approx
 
@@ -532,3 +537,91 @@ def test_refraction_is_not_applied_to_measured_observations(direction, orientati
         stations=SimpleNamespace(orientation=orientation),
     )
     assert keys_of(rules.measured_observations, mission) == keys
+
+
+# ---- the air in the lens during the calibration
+
+FLOWN_M = 3000.0  # 701 hPa
+FLOWN_PA = float(US1976.pressure(FLOWN_M))
+LABORATORY_PA = 101_325.0
+
+
+def about_reference(
+    reference_pa=LABORATORY_PA,
+    calibration="in_flight_uncorrected",
+    *,
+    flown_m=FLOWN_M,
+    ground_m=0.0,
+    windows=None,
+    width_px=8000,
+):
+    """What is said of the reference of a camera that flew in the air outside, or in a cabin."""
+    frame = SimpleNamespace(width_px=width_px, height_px=0.75 * width_px)
+    camera = SimpleNamespace(calibration=calibration, interior_orientation=frame)
+    mission = mission_of(
+        cameras={"nadir": camera},
+        lenses={"nadir": TypicalLens(3500.0, reference_pa, 293.15)},
+        windows=windows or {},
+    )
+    flown = stations(
+        flown_m,
+        cabin_pressure_pa=LABORATORY_PA,
+        cabin_temperature_k=293.15,
+        cabin_vapour_pressure_pa=0.0,
+    )
+    made = facts(
+        mission=mission,
+        stations=flown,
+        adjustment=SimpleNamespace(profile=US1976),
+        rows=arrays(h_g_m=[ground_m, np.nan]),
+    )
+    return list(lens_references(made))
+
+
+@pytest.mark.parametrize(
+    ("calibration", "kinds"),
+    [
+        ("laboratory", []),
+        ("in_flight_uncorrected", [Kind.FINDING]),
+        ("in_flight_corrected", [Kind.WARNING]),
+    ],
+)
+def test_a_calibration_in_flight_has_the_air_of_its_flight(calibration, kinds):
+    """The ppm of the page on lenses, over half a diagonal of 5000 px."""
+    messages = about_reference(calibration=calibration)
+    assert [message.kind for message in messages] == kinds
+    for message in messages:
+        assert message.code == "PLAUSIBLE-REFERENCE"
+        assert message.where == "cameras.nadir.principal_distance.reference"
+        assert message.values["in_lens_hpa"] == approx(701.2, abs=0.1)
+        assert message.values["ppm"] == approx(134.0, abs=1.0)
+        assert message.values["corner_px"] == approx(134e-6 * 5000.0, rel=0.01)
+        assert "removed twice" in message.what
+        assert "1013 hPa and 20 C" in message.what
+
+
+@pytest.mark.parametrize(
+    ("reference_pa", "flown_m", "ground_m", "is_said"),
+    [
+        (95_000.0, FLOWN_M, 0.0, True),  # a laboratory 540 m up
+        (92_000.0, FLOWN_M, 0.0, False),  # a calibration flight at 800 m
+        (FLOWN_PA, FLOWN_M, 0.0, False),
+        (80_000.0, FLOWN_M, 0.0, False),
+        (60_000.0, FLOWN_M, 0.0, False),  # it flew higher
+        (79_500.0, 5000.0, 2000.0, True),  # the air of the ground below the flight
+        (79_500.0, 5000.0, 0.0, False),
+        (79_500.0, 5000.0, math.nan, False),
+        (LABORATORY_PA, 5000.0, math.nan, True),
+        (LABORATORY_PA, 400.0, 0.0, False),  # as little as weather makes
+        (LABORATORY_PA, 500.0, 0.0, True),
+    ],
+)
+def test_a_reference_is_air_of_the_ground(reference_pa, flown_m, ground_m, is_said):
+    messages = about_reference(reference_pa, flown_m=flown_m, ground_m=ground_m)
+    assert bool(messages) is is_said
+
+
+def test_a_reference_does_not_matter_in_a_cabin_of_its_air_or_in_a_small_image():
+    cabin = Window(Cabin("log"))
+    assert about_reference(windows={"nadir": cabin}) == []
+    assert about_reference(flown_m=500.0, width_px=4000) == []  # 17 ppm of 2500 px

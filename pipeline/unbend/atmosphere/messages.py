@@ -270,9 +270,15 @@ def metar_contradiction(*, where: object, quantity: str, body: str, other: str) 
 
 METAR_DEW_POINT = Code(
     "METAR-DEW-POINT",
-    means="The dew point of the METAR is above its temperature.",
-    effect="The air is assumed to be saturated.",
-    remedy="Check the report for a wrong digit.",
+    means="The dew point of the METAR is above its temperature, which is impossible.",
+    effect=(
+        "If it is above it by 1 degree or less, by rounding, the air is assumed to be saturated. "
+        "If it is above it by more, the mission is refused."
+    ),
+    remedy=(
+        "Check the report for a wrong digit, and whether temperature and dew point are exchanged: "
+        "the temperature comes first."
+    ),
 )
 
 
@@ -288,6 +294,27 @@ def metar_dew_point(*, where: str, count: int, dew_c: float, celsius: float) -> 
         count=count,
         dew_c=dew_c,
         celsius=celsius,
+    )
+
+
+def metar_dew_point_impossible(
+    *, where: str, dew_c: float, celsius: float, exchanged: str
+) -> InputError:
+    """The dew point of the METAR is above its temperature by more than rounding makes."""
+    return InputError(
+        METAR_DEW_POINT,
+        (
+            "the dew point {dew_c:.1f} C is above the temperature {celsius:.1f} C, which is "
+            "impossible: perhaps the two are exchanged"
+        ),
+        where=where,
+        dew_c=dew_c,
+        celsius=celsius,
+        exchanged=exchanged,
+        remedy=(
+            "write the temperature first, then the dew point: {exchanged} if they are exchanged; "
+            "or correct the wrong digit or sign"
+        ),
     )
 
 

@@ -199,6 +199,16 @@ def _celsius(field: str | None) -> float:
     return float(field.replace("M", "-"))
 
 
+def whole_degrees(celsius: float) -> str:
+    """Whole degrees as a METAR has them.
+
+    >>> whole_degrees(17.2), whole_degrees(-5.0), whole_degrees(-0.3)
+    ('17', 'M05', 'M00')
+    """
+    sign = "M" if celsius < 0.0 else ""
+    return f"{sign}{round(abs(celsius)):02d}"
+
+
 def _from_tenths(field: str | None) -> float:
     """Tenths of a degree behind a sign, 1 for minus; NaN without them.
 

@@ -4,7 +4,14 @@ import math
 from dataclasses import dataclass
 
 from unbend.atmosphere import messages
-from unbend.atmosphere.metar import EXCERPT, Metar, decode_metar, time_of_metar
+from unbend.atmosphere.metar import (
+    EXCERPT,
+    MOST_OF_ROUNDING_C,
+    Metar,
+    decode_metar,
+    time_of_metar,
+    whole_degrees,
+)
 from unbend.atmosphere.refractive_index import vapour_pressure
 from unbend.messages import Ledger
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K
@@ -82,8 +89,8 @@ def parse_metar(
 
     Temperatures are whole degrees, tenths where the remarks have a T group. An altimeter setting
     is rounded down, to whole hPa (ICAO) or 0.01 inch (FAA), so half a step is added. Raises
-    ``InputError`` where the report does not parse (see `decode_metar`) or its values do not occur
-    at the ground.
+    ``InputError`` where the report does not parse (see `decode_metar`), its values do not occur
+    at the ground, or its dew point is more than a degree above its temperature.
 
     >>> text = "METAR EDDF 221150Z 24011KT 9999 SCT040 M05/M10 Q1013"
     >>> report = parse_metar(text, 111.0, Ledger())
@@ -100,6 +107,13 @@ def parse_metar(
         raise messages.metar_range(where=place, quantity="temperature", number=t, unit="K")
     if not _QNH_PA[0] <= qnh <= _QNH_PA[1] and math.isfinite(qnh):
         raise messages.metar_range(where=place, quantity="altimeter setting", number=qnh, unit="Pa")
+    if report.dew_point_c - report.temperature_c > MOST_OF_ROUNDING_C:
+        raise messages.metar_dew_point_impossible(
+            where=place,
+            dew_c=report.dew_point_c,
+            celsius=report.temperature_c,
+            exchanged=f"{whole_degrees(report.dew_point_c)}/{whole_degrees(report.temperature_c)}",
+        )
     time_ns = time_of_metar(report, flight_ns, where)
     _note_what_is_wrong(report, where, ledger)
     pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan

@@ -24,6 +24,8 @@ MOST_SENTENCES = 100
 MOST_REFUSED = 1000  # things that the models refuse, of which the first mistakes are told
 LONGEST_ALLOWED = 150  # characters of what a key takes, beside its text
 LONGEST_VALUE = 40  # characters of a value that is shown whole
+OF_LIMITS = ("less_than_equal", "greater_than_equal")
+"""Pydantic's types of the error that a number is beyond its limits."""
 _SHOWN_OF_BEGIN = 20  # characters of a longer value
 _SHOWN_OF_END = 16  # the same of its end
 
@@ -152,6 +154,7 @@ def _likely_meant(refused: Refused) -> str:
     """What to write in the place of a value that YAML read as another type; "" if unknown.
 
     YAML reads [0,5, 1,2] as four numbers, and {camera} without quotes as a section of empty keys.
+    A lever arm that is longer than an aircraft is in another unit.
     """
     arms = [arm for node in nodes_at(refused.place) for arm in alternatives(node)]
     types = {arm.get("type") for arm in arms}
@@ -162,6 +165,11 @@ def _likely_meant(refused: Refused) -> str:
             allowed = allowed_at(refused.place)
             number = len(refused.value)
             return f"a list of {number}: numbers have a decimal point, not a comma; use {allowed}"
+        case int() | float() if refused.kind in OF_LIMITS and "lever_arm_m" in refused.place:
+            return (
+                f"{_shown(refused.value)} is not allowed; use {allowed_at(refused.place)}: lever "
+                "arms are in metres, and this looks like millimetres or centimetres"
+            )
         case dict() if "string" in types and _has_only_keys(refused.value):
             keys = ", ".join(map(str, refused.value))
             return f'put quotes around a text with braces: "{{{keys}}}"'

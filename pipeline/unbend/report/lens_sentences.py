@@ -1,6 +1,6 @@
 """Sentences on the air in lenses: what it leaves in the coordinates, and what is uncertain."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from unbend.report.words import length, pixels, with_sigma
 from unbend.tables.manifest.results import CameraAirRecord, ResultsRecord
@@ -39,6 +39,18 @@ def uncorrected_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
         if not camera.lens_removed and camera.lens_edge_px >= SMALLEST_MEASURABLE_PX:
             left[name] = camera
     return left
+
+
+def reference_step(left: Mapping[str, CameraAirRecord]) -> str:
+    """What to state of lenses that are not corrected for the air in them."""
+    keys = ", ".join(f"cameras.{name}" for name in left)
+    step = (
+        "State the air of the calibration, to remove the effect of the air in the lens: "
+        f"principal_distance: {{reference: {{pressure_hpa, temperature_c}}}} ({keys})."
+    )
+    if any(lens.calibrated_in_flight for lens in left.values()):
+        step += " For a calibration in flight, that is the air in the lens during its flight."
+    return step
 
 
 def typical_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:

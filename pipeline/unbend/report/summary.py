@@ -15,6 +15,7 @@ from unbend.report.lens_sentences import (
     lens_left_in,
     lens_step,
     limits_of_lenses,
+    reference_step,
     typical_lenses,
     uncorrected_lenses,
 )
@@ -147,11 +148,7 @@ def next_steps(manifest: Manifest) -> list[str]:
     steps += [step for _, step in _limits(manifest)]
     steps += _step_to_known_hour(manifest)
     if left := uncorrected_lenses(manifest.results):
-        keys = ", ".join(f"cameras.{name}" for name in left)
-        steps.append(
-            "State the air of the calibration, to remove the effect of the air in the lens: "
-            f"principal_distance: {{reference: {{pressure_hpa, temperature_c}}}} ({keys})."
-        )
+        steps.append(reference_step(left))
     if is_tiny(manifest):
         steps.append("Use the results or the measurements: the difference is not measurable.")
     if applied:

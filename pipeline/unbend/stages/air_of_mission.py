@@ -74,6 +74,7 @@ def adjusted_profiles(
             time_ns=sources.time_ns,
             longitude_rad=sources.longitude_rad,
             utc_known=sources.utc_known,
+            doubt_of_time=sources.doubt_of_time,
         )
     else:
         ledger.add(messages.air_not_adjusted(standard=standard.name))

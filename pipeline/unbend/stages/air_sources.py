@@ -28,7 +28,12 @@ from unbend.flight.stations import NO_TIME, Stations
 from unbend.geodesy import longitudes_near
 from unbend.messages import Ledger
 from unbend.stages import messages
-from unbend.stages.flight_date import flight_date_ns, flight_hour, refuse_dated_sources
+from unbend.stages.flight_date import (
+    doubt_of_date,
+    flight_date_ns,
+    flight_hour,
+    refuse_dated_sources,
+)
 from unbend.stages.flight_log import FlightLog, GroundTrack
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.model_fields import FlightArea
@@ -297,6 +302,7 @@ class AirSources:
     time_ns, longitude_rad : the middle of the flight; its time is None where neither the log nor
         the mission file has it.
     utc_known : whether the times of the log are UTC; else they count from a boot.
+    doubt_of_time : why the stated date may be wrong, in words; empty if nothing contradicts it.
     lowest_h_m : the lowest height at which the log sampled the air, else that of the take-off,
         else 0 [m above sea level].
     path : where the flight was.
@@ -313,6 +319,7 @@ class AirSources:
     path: FlightPath | None = None
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
     utc_known: bool = True
+    doubt_of_time: str = ""
 
     def lines(self) -> list[tuple[str, str]]:
         """A label and a description of each source, for `unbend check`."""
@@ -386,7 +393,8 @@ def read_air_sources(
     surface = read_reports(section, flight_ns, background, ledger)
     if flight_ns is None and section.adjust:
         refuse_dated_sources(soundings, section)
-    middle = TimeAndPlace(flight_ns, latitude, longitude)
+    doubt = doubt_of_date(mission, stations, soundings)
+    middle = TimeAndPlace(flight_ns, latitude, longitude, doubt)
     model = read_model_air(mission, inputs, flight, stations, samples, middle=middle, ledger=ledger)
     if model is not None:
         soundings.append(model.column)
@@ -402,6 +410,7 @@ def read_air_sources(
         path=flight_path(flight.track),
         calibration=section.sensors.calibration,
         utc_known=not bool(stations.from_boot.any()),
+        doubt_of_time=doubt,
     )
     if not section.adjust:
         report_unused(sources, ledger)

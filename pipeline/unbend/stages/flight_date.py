@@ -1,10 +1,12 @@
 """When a mission was flown: by its exposures, or as the mission file states."""
 
 from collections.abc import Sequence
+from datetime import datetime
 
 import numpy as np
 
 from unbend.atmosphere.air_variation import solar_hour
+from unbend.atmosphere.metar import decode_metar, time_of_metar
 from unbend.atmosphere.soundings import Sounding
 from unbend.config import Mission
 from unbend.config.atmosphere import AtmosphereSection
@@ -16,6 +18,8 @@ from unbend.units import NANOSECONDS_PER_SECOND
 
 FARTHEST_FROM_DATE_NS = 36 * 3600 * NANOSECONDS_PER_SECOND
 """How far exposures may be from noon of the stated date: also in a place across the date line."""
+
+MONTHS = 12
 
 
 def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int | None:
@@ -70,6 +74,65 @@ def flight_hour(mission: Mission, stations: Stations, flight_ns: int | None) -> 
     if not have_utc and date is not None and is_day_alone(date):
         return None
     return solar_hour(flight_ns, stations.median_longitude_rad)
+
+
+def doubt_of_date(mission: Mission, stations: Stations, soundings: Sequence[Sounding]) -> str:
+    """Why the stated date of a flight may be wrong, in words for messages on sources far from it.
+
+    Empty where exposures have a UTC, where a source is near the date, and without dated sources.
+    """
+    date = stated_date(mission)
+    if date is None or middle_time_ns(stations.utc_ns) is not None:
+        return ""
+    near = _sources_near(date, mission.atmosphere, soundings)
+    if not near or any(near):
+        return ""
+    key = key_of_date(mission)
+    day = datetime.fromisoformat(date).date().isoformat()
+    exchanged = with_day_and_month_exchanged(date)
+    if exchanged is not None and all(_sources_near(exchanged, mission.atmosphere, soundings)):
+        exchanged_day = datetime.fromisoformat(exchanged).date().isoformat()
+        return messages.stated_date_exchanged(date=day, key=key, exchanged=exchanged_day)
+    return messages.stated_date_in_doubt(date=day, key=key)
+
+
+def with_day_and_month_exchanged(date: str) -> str | None:
+    """A stated date with its day as the month; None where there is no such month, or no change.
+
+    >>> with_day_and_month_exchanged("2025-12-06T09:40:00Z")
+    '2025-06-12T09:40:00+00:00'
+    >>> with_day_and_month_exchanged("2025-12-16"), with_day_and_month_exchanged("2025-06-06")
+    (None, None)
+    """
+    time = datetime.fromisoformat(date)
+    if time.day > MONTHS or time.day == time.month:
+        return None
+    exchanged = time.replace(month=time.day, day=time.month)
+    if is_day_alone(date):
+        return exchanged.date().isoformat()
+    return exchanged.isoformat()
+
+
+def _sources_near(
+    date: str, section: AtmosphereSection, soundings: Sequence[Sounding]
+) -> list[bool]:
+    """Of each sounding and report that has a time, whether it is near a date.
+
+    A METAR without a date has only the day of the month: it is of the month that is nearest.
+    """
+    date_ns = nanoseconds_of_date(date)
+    times_ns = [sounding.time_ns for sounding in soundings]
+    for station in section.surface:
+        time_ns = station.time_ns
+        if station.metar is not None:
+            report = decode_metar(station.metar, "atmosphere.surface")
+            time_ns = time_of_metar(report, date_ns, "atmosphere.surface")
+        times_ns.append(time_ns)
+    near = []
+    for time_ns in times_ns:
+        if date_ns is not None and time_ns is not None:
+            near.append(abs(time_ns - date_ns) <= FARTHEST_FROM_DATE_NS)
+    return near
 
 
 def refuse_dated_sources(soundings: Sequence[Sounding], section: AtmosphereSection) -> None:

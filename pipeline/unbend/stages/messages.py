@@ -513,6 +513,19 @@ def date_contradicted(*, stated: str, flown: str) -> Message:
     )
 
 
+def stated_date_in_doubt(*, date: str, key: str) -> str:
+    """For messages on sources of another time: the stated date of the flight may be wrong."""
+    return f"; or the stated date {date} ({key}) is wrong"
+
+
+def stated_date_exchanged(*, date: str, key: str, exchanged: str) -> str:
+    """For messages on sources of another time: these fit the date with day and month exchanged."""
+    return (
+        f"; or the stated date {date} ({key}) is wrong: with day and month exchanged, {exchanged}, "
+        "it fits"
+    )
+
+
 MODEL_COLUMN = Code(
     "MODEL-COLUMN",
     means=(
@@ -964,7 +977,8 @@ LENS_NOT_REMOVED = Code(
     effect="It stays in the coordinates. Heights are wrong by this part of the flying height.",
     remedy=(
         "State the air of the calibration: cameras.<name>.principal_distance: {reference: "
-        "{pressure_hpa: 1013.25, temperature_c: 20}}."
+        "{pressure_hpa: 1013.25, temperature_c: 20}}. For a calibration in flight, that is the air "
+        "in the lens during its flight."
     ),
 )
 

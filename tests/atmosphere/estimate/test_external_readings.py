@@ -358,6 +358,7 @@ def test_a_report_without_a_time_or_of_another_is_told(norman, hours, is_metar, 
     ("change", "expected"),
     [
         ({"time_ns": None}, ["SOUNDING-UNDATED"]),
+        ({"time_ns": 0}, []),  # of 1970: not used, as another message says
         ({"latitude_rad": math.nan}, ["SOUNDING-UNPLACED"]),
         ({"longitude_rad": 0.25}, ["SOUNDING-FAR-AWAY"]),
         ({"longitude_rad": 0.22}, []),
@@ -367,6 +368,36 @@ def test_a_sounding_without_a_time_or_place_is_told(norman, change, expected):
     flight = replace(over(norman), longitude_rad=0.2)
     balloon = balloon_beside(norman, **{"longitude_rad": 0.2} | change)
     assert codes(distance_notes([balloon], [], flight)) == expected
+
+
+@pytest.mark.parametrize(
+    ("hours", "expected"),
+    [
+        (6, []),
+        (7, ["SOUNDING-FAR-IN-TIME"]),
+        (-191, ["SOUNDING-FAR-IN-TIME"]),
+        (193, []),  # not used, as another message says
+    ],
+)
+def test_a_sounding_of_another_hour_is_told_once(norman, hours, expected):
+    balloon = aged(norman, hours, latitude_rad=norman.latitude, longitude_rad=0.2)
+    flight = replace(over(norman), longitude_rad=0.2)
+    assert codes(distance_notes([balloon], [], flight)) == expected
+
+
+def test_messages_of_far_sources_name_the_doubt_of_a_stated_date(norman):
+    doubted = replace(over(norman), longitude_rad=0.2, doubt="; or the date is wrong")
+    balloon = aged(norman, 24, latitude_rad=norman.latitude, longitude_rad=0.2)
+    report = station(norman, 24)
+    metar = replace(report, is_metar=True)
+    notes = list(distance_notes([balloon], [report, metar], doubted))
+    assert len(notes) == 3
+    old = aged(norman, YEARS_H)
+    made = adjusted(norman, soundings=[old], doubt_of_time=doubted.doubt)
+    notes += [entry for entry in made.ledger if entry.code == "AIR-SOURCE-FAR"]
+    assert len(notes) == 4
+    for note in notes:
+        assert note.what.endswith("; or the date is wrong")
 
 
 # Stations on the ground

@@ -110,6 +110,7 @@ def build_adjusted_profile(
     time_ns: int | None = None,
     longitude_rad: float = math.nan,
     utc_known: bool = True,
+    doubt_of_time: str = "",
 ) -> Adjustment:
     """The locally adjusted atmosphere profile of a flight, with its covariance.
 
@@ -127,6 +128,7 @@ def build_adjusted_profile(
         the season.
     utc_known : whether the times of the samples are UTC; else they count from a boot, and
         ``time_ns`` alone gives the season.
+    doubt_of_time : of ``time_ns``, in words for messages, as in `TimeAndPlace`.
 
     Where nothing has enough information, or no estimate passes its checks, it is the background
     with its own sigma, and the reason.
@@ -139,7 +141,12 @@ def build_adjusted_profile(
     """
     standard = under_gravity(standard, latitude_rad)
     middle_ns = _middle_of_samples(samples) if utc_known else None
-    flight = TimeAndPlace(time_ns if middle_ns is None else middle_ns, latitude_rad, longitude_rad)
+    flight = TimeAndPlace(
+        time_ns if middle_ns is None else middle_ns,
+        latitude_rad,
+        longitude_rad,
+        doubt=doubt_of_time if middle_ns is None else "",
+    )
     expected = _expected_air(standard, background, flight)
     samples, settings = ledger.take(
         sensor_checks.subtract_known_biases(samples, settings or SensorSettings())
@@ -216,7 +223,7 @@ def _sources_too_far(
         if reason is not None:
             too_far[source.name] = reason
     for name, reason in too_far.items():
-        ledger.add(messages.source_far(name=name, reason=reason))
+        ledger.add(messages.source_far(name=name, reason=reason, doubt=flight.doubt))
     return too_far
 
 

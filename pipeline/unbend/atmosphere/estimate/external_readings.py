@@ -44,6 +44,7 @@ UNPLACED_M = 100e3
 """Assumed where unknown: soundings are released every twelve hours, stations are near."""
 
 FAR_REPORT_H = 3.0  # a surface report from longer before or after is reported
+FAR_SOUNDING_H = 6.0  # a sounding farther in time is reported: the boundary layer has changed
 
 _EARTH_M = 6.371e6
 
@@ -68,11 +69,16 @@ HUMIDITY_BELOW_M = 12_000.0
 
 @dataclass(frozen=True)
 class TimeAndPlace:
-    """When [Unix ns] and where [rad] a flight was; None and NaN where unknown."""
+    """When [Unix ns] and where [rad] a flight was; None and NaN where unknown.
+
+    ``doubt`` of the time, in words for messages about sources that are far from it; empty for a
+    time that was logged, or that a source confirms.
+    """
 
     time_ns: int | None = None
     latitude_rad: float = math.nan
     longitude_rad: float = math.nan
+    doubt: str = ""
 
     def hours_from(self, time_ns: int | None) -> float:
         """Hours to another time, NaN where either is not known.
@@ -151,7 +157,10 @@ def distance_notes(
     surface: Sequence[SurfaceReport],
     flight: TimeAndPlace,
 ) -> Iterator[Message]:
-    """Sources without time or place, soundings from far away and reports hours away."""
+    """Sources without time or place, from far away or hours away.
+
+    Of a source that is not used (`reason_uninformative`) another message gives the hours.
+    """
     for sounding in soundings:
         yield from _notes_of_sounding(sounding, flight)
     for report in surface:
@@ -159,10 +168,13 @@ def distance_notes(
 
 
 def _notes_of_sounding(sounding: Sounding, flight: TimeAndPlace) -> Iterator[Message]:
-    """That a sounding has no time or place, or is from far away."""
+    """That a sounding has no time or place, or is from far away or from another time."""
     name = sounding.name
     if sounding.time_ns is None:
         yield messages.sounding_undated(where=name, hours=UNDATED_SOUNDING_H)
+    hours = flight.hours_from(sounding.time_ns)
+    if hours > FAR_SOUNDING_H and reason_uninformative(sounding, flight) is None:
+        yield messages.sounding_far_in_time(where=name, hours=hours, doubt=flight.doubt)
     metres = flight.metres_from(sounding.latitude_rad, sounding.longitude_rad)
     if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
         yield messages.sounding_unplaced(where=name, km=UNPLACED_M / 1e3)
@@ -181,10 +193,11 @@ def _notes_of_report(report: SurfaceReport, flight: TimeAndPlace) -> Iterator[Me
     if report.time_ns is None:
         yield messages.surface_undated(where=report.name, hours=UNDATED_REPORT_H)
     hours = flight.hours_from(report.time_ns)
-    if hours > FAR_REPORT_H and report.is_metar:
-        yield messages.metar_far_in_time(where=report.name, hours=hours)
-    elif hours > FAR_REPORT_H:
-        yield messages.surface_far_in_time(where=report.name, hours=hours)
+    is_far = hours > FAR_REPORT_H and reason_uninformative(report, flight) is None
+    if is_far and report.is_metar:
+        yield messages.metar_far_in_time(where=report.name, hours=hours, doubt=flight.doubt)
+    elif is_far:
+        yield messages.surface_far_in_time(where=report.name, hours=hours, doubt=flight.doubt)
 
 
 def sounding_departures(

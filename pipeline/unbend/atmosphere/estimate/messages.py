@@ -577,13 +577,14 @@ METAR_FAR_IN_TIME = Code(
 )
 
 
-def metar_far_in_time(*, where: str, hours: float) -> Message:
-    """The METAR is hours away from the flight."""
+def metar_far_in_time(*, where: str, hours: float, doubt: str) -> Message:
+    """The METAR is hours away from the flight, or the stated date is wrong (``doubt``)."""
     return warning(
         METAR_FAR_IN_TIME,
-        "the report is {hours:.1f} hours away from the flight",
+        "the report is {hours:.1f} hours away from the flight{doubt}",
         where=where,
         hours=hours,
+        doubt=doubt,
     )
 
 
@@ -603,6 +604,25 @@ def sounding_far_away(*, where: str, km: float, worth: str) -> Message:
         where=where,
         km=km,
         worth=worth,
+    )
+
+
+SOUNDING_FAR_IN_TIME = Code(
+    "SOUNDING-FAR-IN-TIME",
+    means="The nearest sounding is many hours away from the flight.",
+    effect="It has less weight for this reason.",
+    remedy="Give one of the time of the flight.",
+)
+
+
+def sounding_far_in_time(*, where: str, hours: float, doubt: str) -> Message:
+    """A sounding is many hours from the flight, or the stated date is wrong (``doubt``)."""
+    return warning(
+        SOUNDING_FAR_IN_TIME,
+        "the nearest sounding is {hours:.0f} hours away from the flight{doubt}",
+        where=where,
+        hours=hours,
+        doubt=doubt,
     )
 
 
@@ -650,13 +670,14 @@ SURFACE_FAR_IN_TIME = Code(
 )
 
 
-def surface_far_in_time(*, where: str, hours: float) -> Message:
-    """The report is hours away from the flight."""
+def surface_far_in_time(*, where: str, hours: float, doubt: str) -> Message:
+    """The report is hours away from the flight, or the stated date is wrong (``doubt``)."""
     return warning(
         SURFACE_FAR_IN_TIME,
-        "the report is {hours:.1f} hours away from the flight",
+        "the report is {hours:.1f} hours away from the flight{doubt}",
         where=where,
         hours=hours,
+        doubt=doubt,
     )
 
 
@@ -685,13 +706,25 @@ AIR_SOURCE_FAR = Code(
         "flight's air."
     ),
     effect="It is not used.",
-    remedy="Give a report or sounding of the same day and region.",
+    remedy=(
+        "Give a report or sounding of the same day and region. If the mission file states the date "
+        "of the flight, check it too."
+    ),
 )
 
 
-def source_far(*, name: str, reason: str) -> Message:
-    """A sounding or report that says nothing on the air of this flight."""
-    return loss(AIR_SOURCE_FAR, "{where} is not used: {reason}", where=name, reason=reason)
+def source_far(*, name: str, reason: str, doubt: str) -> Message:
+    """A sounding or report that says nothing on the air of this flight.
+
+    ``doubt`` of the stated date of the flight.
+    """
+    return loss(
+        AIR_SOURCE_FAR,
+        "{where} is not used: {reason}{doubt}",
+        where=name,
+        reason=reason,
+        doubt=doubt,
+    )
 
 
 AIR_SOURCE_REFUSED = Code(

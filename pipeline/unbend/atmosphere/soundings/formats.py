@@ -321,9 +321,6 @@ def _ascent_of_plain(columns: Columns, column_of: Mapping[str, str], where: str)
     )
 
 
-FAR_HOURS = 6.0  # a sounding farther in time is reported: the boundary layer has changed
-
-
 FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str], list[RawLevels]]]] = {
     "igra_derived": (is_igra_derived, parse_igra_derived),
     "igra": (is_igra, parse_igra),
@@ -416,8 +413,6 @@ def nearest_in_time(
         raise messages.sounding_choice(where=where, total=len(full))
     raw, apart_ns = _nearest_of_dated(full, time_ns, where)
     hours = apart_ns / NANOSECONDS_PER_SECOND / 3600.0
-    if hours > FAR_HOURS:
-        notes += (messages.sounding_far_in_time(where=raw.where, hours=hours),)
     if len(full) > 1:
         notes += (messages.sounding_chosen(where=raw.where, count=len(full), hours=hours),)
     return raw.noting(*notes)

@@ -40,6 +40,10 @@ HIGHEST_PA = 110_000.0
 TOO_WET = 1.5  # a relative humidity that no air has
 MOST_TOO_WET = 0.2  # share of levels that may have it by mistake
 
+DEW_POINT_ABOVE_K = 1.0  # above the temperature: more than rounding, and sensors in cloud, make
+MOST_LEVELS = 0.5  # share of levels with such a dew point that is no matter of single levels
+NEARLY_ALL_LEVELS = 0.95  # share of levels that a right reading of a file must explain
+
 DRIEST_RH = 0.011  # relative humidities that reach no more are dead, or per cent of per cent
 
 THICKNESS_RATIO = 0.03
@@ -250,6 +254,7 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
     e = _vapour(raw).copy()
     if raw.dew_point_k is not None:
         raw, dew_point_k = _possible_dew_points(raw, raw.dew_point_k)
+        _refuse_exchanged(raw, dew_point_k)
         e = np.where(np.isfinite(e), e, vapour_pressure(1.0, dew_point_k, p))
     if raw.relative_humidity is not None:
         e = np.where(np.isfinite(e), e, vapour_pressure(raw.relative_humidity, t, p))
@@ -287,6 +292,30 @@ def _possible_dew_points(raw: RawLevels, dew_point_k: Array) -> tuple[RawLevels,
         )
         raw = raw.noting(note)
     return raw, np.where(is_wrong, np.nan, dew)
+
+
+def _refuse_exchanged(raw: RawLevels, dew_point_k: Array) -> None:
+    """Refuse dew points that are temperatures: above these in most levels, below in hardly any.
+
+    Depressions of the dew point in its place are above temperatures too where it freezes; but they
+    are not negative, and do not fall with the height as temperatures do.
+    """
+    above_k = dew_point_k - raw.temperature_k
+    is_known = np.isfinite(above_k)
+    if not bool(is_known.any()):
+        return
+    far_above = float(np.mean(above_k[is_known] > DEW_POINT_ABOVE_K))
+    not_below = float(np.mean(above_k[is_known] >= 0.0))
+    if far_above <= MOST_LEVELS or not_below < NEARLY_ALL_LEVELS:
+        return
+    upward_k = dew_point_k[is_known]
+    falls = upward_k[0] > upward_k[-1]
+    if upward_k.min() >= ZERO_CELSIUS_K and not falls:
+        return
+    raise messages.sounding_dew_points_exchanged(
+        **_where_stated(raw, "dew point"),
+        percent=100.0 * float(np.mean(above_k[is_known] > 0.0)),
+    )
 
 
 def _refuse_too_wet(raw: RawLevels, e: Array, saturated: Array) -> None:

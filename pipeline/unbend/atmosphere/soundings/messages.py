@@ -642,24 +642,6 @@ def sounding_empty(*, where: object) -> InputError:
     )
 
 
-SOUNDING_FAR_IN_TIME = Code(
-    "SOUNDING-FAR-IN-TIME",
-    means="The nearest sounding is many hours away from the flight.",
-    effect="It weighs less for that.",
-    remedy="Give one of the time of the flight.",
-)
-
-
-def sounding_far_in_time(*, where: str, hours: float) -> Message:
-    """The nearest sounding is many hours away from the flight."""
-    return warning(
-        SOUNDING_FAR_IN_TIME,
-        "the nearest sounding is {hours:.0f} hours away from the flight",
-        where=where,
-        hours=hours,
-    )
-
-
 SOUNDING_FORMAT = Code(
     "SOUNDING-FORMAT",
     means="The file is not a sounding of the format that is stated or detected.",
@@ -1122,6 +1104,24 @@ def sounding_too_wet(
         quantity=quantity,
         percent=percent,
         limit_percent=limit_percent,
+    )
+
+
+def sounding_dew_points_exchanged(*, where: str, column: str, percent: float) -> InputError:
+    """Dew points above the temperatures in nearly all levels."""
+    return InputError(
+        SOUNDING_UNITS,
+        _with_column(
+            (
+                "the dew point is above the temperature in {percent:.0f} % of the levels, which is "
+                "impossible: temperature and dew point seem exchanged"
+            ),
+            column,
+        ),
+        where=where,
+        remedy="exchange temperature and dew point: the names of the columns, or their values",
+        column=column,
+        percent=percent,
     )
 
 

@@ -354,6 +354,84 @@ def window_leans(*, where: str, name: str, tilt: float) -> Message:
     )
 
 
+PLAUSIBLE_REFERENCE = Code(
+    "PLAUSIBLE-REFERENCE",
+    means=(
+        "The camera was calibrated in flight, but the reference of its principal distance is the "
+        "air of the ground. A calibration in flight contains the air of its flight in the lens."
+    ),
+    effect=(
+        "The air in the lens is removed twice. The run ends with exit code 3. For a calibration on "
+        "corrected images it is a warning: there it depends on what was corrected."
+    ),
+    remedy=(
+        "Leave principal_distance out, or state the air in the lens during the flight of the "
+        "calibration. Or accept the finding with the reason."
+    ),
+)
+
+
+def reference_of_ground(
+    *,
+    where: str,
+    name: str,
+    reference_hpa: float,
+    reference_c: float,
+    in_lens_hpa: float,
+    ppm: float,
+    corner_px: float,
+) -> Message:
+    """A calibration in flight, with the air of the ground as its reference."""
+    return finding(
+        PLAUSIBLE_REFERENCE,
+        (
+            "{name} was calibrated in flight, and that calibration contains the air of its flight "
+            "in the lens. But the reference, {reference_hpa:.0f} hPa and {reference_c:.0f} C, is "
+            "air of the ground; here the lens is in {in_lens_hpa:.0f} hPa. So the air in the lens "
+            "is removed twice: {ppm:.0f} ppm of the principal distance, {corner_px:.2f} px in the "
+            "corner of an image. Leave principal_distance out, or state the air in the lens during "
+            "the flight of the calibration"
+        ),
+        where=where,
+        name=name,
+        reference_hpa=reference_hpa,
+        reference_c=reference_c,
+        in_lens_hpa=in_lens_hpa,
+        ppm=ppm,
+        corner_px=corner_px,
+    )
+
+
+def reference_of_ground_in_corrected(
+    *,
+    where: str,
+    name: str,
+    reference_hpa: float,
+    reference_c: float,
+    in_lens_hpa: float,
+    ppm: float,
+    corner_px: float,
+) -> Message:
+    """The same for a calibration on corrected images, which may have been corrected for it."""
+    return warning(
+        PLAUSIBLE_REFERENCE,
+        (
+            "{name} was calibrated in flight on corrected images, and the reference, "
+            "{reference_hpa:.0f} hPa and {reference_c:.0f} C, is air of the ground; here the lens "
+            "is in {in_lens_hpa:.0f} hPa. This is right only if those images were corrected for "
+            "the air in the lens too, with the same reference. If not, it is removed twice: "
+            "{ppm:.0f} ppm of the principal distance, {corner_px:.2f} px in the corner of an image"
+        ),
+        where=where,
+        name=name,
+        reference_hpa=reference_hpa,
+        reference_c=reference_c,
+        in_lens_hpa=in_lens_hpa,
+        ppm=ppm,
+        corner_px=corner_px,
+    )
+
+
 PLAUSIBLE_DISTANCE = Code(
     "PLAUSIBLE-DISTANCE",
     means="Slant ranges do not fit the heights of camera and ground.",

@@ -20,6 +20,7 @@ from unbend.stages.plausibility import messages
 from unbend.stages.plausibility.air_limits import limits_of_factor
 from unbend.stages.plausibility.causes import EARTH_RADIUS_M, causes_of_statuses
 from unbend.stages.plausibility.facts import Facts
+from unbend.stages.plausibility.lens_references import lens_references
 from unbend.units import Array
 
 Findings = Iterator[Message]
@@ -474,6 +475,7 @@ RULES: tuple[Callable[[Facts], Findings], ...] = (
     lever_arms,
     sigmas_and_delays,
     windows,
+    lens_references,
     slant_ranges,
     flagged_rows,
     air_of_flight,
