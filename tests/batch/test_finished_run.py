@@ -19,8 +19,9 @@ from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.batch.finished_run.export import export_run, rebuild_run
 from unbend.batch.finished_run.read_back import profile_of, stations_of
-from unbend.batch.results import read_manifest
+from unbend.batch.results import manifest_of_run, read_manifest
 from unbend.batch.runs import read_mission
+from unbend.errors import StorageError
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Ledger
 from unbend.tables.exports import FORMATS
@@ -390,6 +391,16 @@ def export_refused(export):
 def test_a_folder_without_a_manifest_is_no_run(copied, export_refused):
     (copied / "manifest.json").unlink()
     export_refused(copied, "lattice", "VERIFY-NO-MANIFEST", 5)
+
+
+def test_a_folder_that_no_run_has_written_to_is_called_so(tmp_path):
+    with pytest.raises(StorageError, match="is not the folder of the results") as refusal:
+        manifest_of_run(tmp_path)
+    assert refusal.value.code == "VERIFY-NO-MANIFEST"
+    assert "output.path" in refusal.value.remedy
+    (tmp_path / ".lock").touch()
+    with pytest.raises(StorageError, match="no run has finished here"):
+        manifest_of_run(tmp_path)
 
 
 def test_a_damaged_run_is_not_exported(copied, export_refused):

@@ -123,6 +123,22 @@ ANGLES = yaml.safe_load("""
 """)
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("mission.yaml run", "unbend run mission.yaml"),
+        ("mission.yaml", "unbend run mission.yaml"),
+        ("a.yml check --json", "unbend check a.yml --json"),
+        ("{file} inspect --type BARO", "unbend inspect {file} --type BARO"),
+    ],
+)
+def test_a_file_before_the_command(refusal_of, tmp_path, words, line):
+    file = tmp_path / "flight"
+    file.write_text("", encoding="utf-8")
+    text = refusal_of("COMMAND-ORDER", 2, *words.format(file=file).split())
+    assert text.strip().endswith(f"write: {line.format(file=file)}")
+
+
 @pytest.mark.parametrize(("h_c", "zeta", "arcsec"), ANGLES)
 def test_angle(angle_of, h_c, zeta, arcsec):
     options = "--atmosphere us1976 --index gyer --radius 6371000"

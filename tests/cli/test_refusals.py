@@ -78,7 +78,7 @@ def spoil(mission, name, content):
 def test_log_that_is_a_folder(mission):
     (mission.folder / "folder.bin").mkdir()
     mission.config["log"]["path"] = "folder.bin"
-    refused(mission.run(), "INPUT-MISSING")
+    refused(mission.run(), "INPUT-FOLDER")
 
 
 def test_log_that_has_no_possible_name(mission):

@@ -139,6 +139,77 @@ def test_a_missing_key_comes_with_its_meaning_and_an_example(refusal):
     assert "cameras.nadir.calibration: is missing: how the camera was calibrated" in error.what
 
 
+def test_a_misspelt_required_key_is_one_mistake(refusal):
+    tree = copy.deepcopy(BASE)
+    height = tree["ground"].pop("height")
+    reference = tree["ground"].pop("reference")
+    tree["ground"] |= {"heigth": height, "refrence": reference}
+    del tree["output"]["path"]
+    error = refusal(tree)
+    assert error.code == "CONFIG-UNKNOWN-KEY"
+    assert "ground.heigth: unknown key; perhaps 'height'?" in error.what
+    assert "ground.refrence: unknown key; perhaps 'reference'?" in error.what
+    assert "ground.height: is missing" not in error.what
+    assert "ground.reference: is missing" not in error.what
+    assert "output.path: is missing" in error.what
+
+
+ACROSS_SECTIONS = yaml.safe_load("""
+- [ground.height, from_distance, height, 'needs observations.columns.distance_m']
+- [ground.height, block, height, 'takes the points of stations.orientation']
+- [observations.unit, mm, unit, 'needs cameras.nadir.metric']
+- [atmosphere.board_temperature, true, board_temperature, 'needs log.channels.temperature']
+- [stations.trajectory.lever_arm_m, from_events, lever_arm_m, 'needs events.positions']
+- [stations.trajectory.point, camera, point, 'is possible for one camera']
+- [refraction, {direction: apply}, control, 'control compares before and after']
+""")
+
+
+@pytest.mark.parametrize(("place", "value", "key", "says"), ACROSS_SECTIONS)
+def test_a_mistake_of_several_sections_has_the_line_of_its_key(place, value, key, says, refusal):
+    tree = copy.deepcopy(BASE)
+    tree["log"]["channels"].pop("temperature", None)
+    del tree["cameras"]["oblique"], tree["mount"]["oblique"], tree["events"]["log"]["oblique"]
+    if place == "stations.trajectory.point":
+        for section in (tree["cameras"], tree["mount"], tree["events"]["log"]):
+            section["oblique"] = copy.deepcopy(section["nadir"])
+        del tree["stations"]["trajectory"]["lever_arm_m"]
+    spoil(tree, tuple(place.split(".")), value)
+    error = refusal(tree)
+    assert says in error.what
+    text = yaml.safe_dump(tree, sort_keys=False)
+    line = re.search(r"line (\d+)", error.what)
+    assert text.splitlines()[int(line[1]) - 1].lstrip().startswith(f"{key}:")
+
+
+def renamed_camera(tree, sections, name):
+    """The second camera has another name in some sections."""
+    places = {
+        "cameras": tree["cameras"],
+        "mount": tree["mount"],
+        "events": tree["events"]["log"],
+    }
+    for section in sections:
+        places[section][name] = places[section].pop("oblique")
+    return tree
+
+
+@pytest.mark.parametrize(
+    ("sections", "says"),
+    [
+        (["cameras"], "perhaps 'oblique' under cameras?"),
+        (["mount"], "mount names camera 'oblik'; perhaps 'oblique'?"),
+        (["events"], "events.log names camera 'oblik'; perhaps 'oblique'?"),
+        (["cameras", "mount"], "events.log names camera 'oblique'; perhaps 'oblik'?"),
+    ],
+)
+def test_of_three_sections_the_odd_one_out_has_the_wrong_name(sections, says, refusal):
+    tree = renamed_camera(copy.deepcopy(BASE), sections, "oblik")
+    error = refusal(tree)
+    assert says in error.what
+    assert "line 1:" not in error.what
+
+
 OPEN = {
     "cameras.nadir.fx_px": ("cameras", "nadir", "fx_px"),
     "cameras.nadir.width_px": ("cameras", "nadir", "width_px"),

@@ -5,6 +5,7 @@ import pyarrow as pa
 import pytest
 import yaml
 
+from unbend.report.concerns import steps_of_losses
 from unbend.report.summary import next_steps, outcome, remarks
 from unbend.stages.messages import flight_of_unknown_hour
 
@@ -235,6 +236,34 @@ def test_nothing_that_ended_with_three_is_ready(baseline, kind, noun):
     text = verdict_of(manifest)
     assert READY not in text
     assert text.endswith(f"{LOOK}{noun} (LOG-BAD-BYTES) before use.")
+
+
+@pytest.mark.parametrize(
+    ("codes", "step"),
+    [
+        (["LOG-CRC"], "Check which data was lost (LOG-CRC). If there is a complete file, use it."),
+        (["OBS-REPEATED-POINT"], "OBS-REPEATED-POINT: Correct the table or block."),
+        (["AIR-SOURCE-FAR"], "AIR-SOURCE-FAR: Give a report or sounding of the same day"),
+        (["OBS-BEYOND-GRAZING"], "OBS-BEYOND-GRAZING: Give slant ranges"),
+        (
+            ["AIR-STUCK", "LOG-CRC"],
+            "(LOG-CRC). If there is a complete file, use it. AIR-STUCK: Check the sensor",
+        ),
+        (["OF-TOMORROW"], "See what the ledger says of OF-TOMORROW."),
+    ],
+)
+def test_the_remedy_of_a_loss_is_that_of_its_code(codes, step):
+    text = " ".join(steps_of_losses(codes))
+    assert step in text
+    is_of_log = "LOG-CRC" in codes
+    assert ("complete file" in text) is is_of_log
+
+
+def test_many_losses_are_left_to_the_ledger():
+    codes = ["AIR-STUCK", "DEM-OUTSIDE", "EVENTS-LOST", "GEOID-OUTSIDE", "TIME-STRAY"]
+    *explained, last = steps_of_losses(codes)
+    assert len(explained) == 3
+    assert last == "See what the ledger says of GEOID-OUTSIDE, TIME-STRAY."
 
 
 def test_an_incomplete_log_is_no_mistake(baseline):

@@ -16,6 +16,7 @@ from unbend.stages.statistics import SampledRows, Statistics
 from unbend.tables.observations import Batch
 
 NO_GROUND = STATUS_NAMES.index("no_ground")
+NO_STATION = STATUS_NAMES.index("no_station")
 CAMERA = SimpleNamespace(width_px=1400, height_px=1000)
 NAN = math.nan
 
@@ -29,14 +30,15 @@ def statistics():
     return two_cameras()
 
 
-def add(statistics, status, camera, sigmas=None, **counts):
+def add(statistics, status, camera, sigmas=None, *, images=None, **counts):
     """Count a batch of points i0 p0, i1 without a name, i2 p2 ..., whose first row is the 100th.
 
-    Corrections are by (3, 4) px, 2 m on the ground, by 10 and 20 microradians.
+    ``images`` are other names. Corrections are by (3, 4) px, 2 m on the ground, by 10 and 20
+    microradians.
     """
     n = len(status)
     pixels = np.full(n, 50.0)
-    images = [f"i{k}" for k in range(n)]
+    images = images or [f"i{k}" for k in range(n)]
     points = [f"p{k}" for k in range(n)]
     points[1] = None
     batch = Batch(
@@ -90,6 +92,29 @@ def test_rows_are_named_by_their_numbers_where_these_are_known(statistics):
     numbers = np.array([7, 70, 700])
     add(statistics, [NO_GROUND, NO_GROUND, OK], [0, 0, 0], numbers=numbers)
     assert statistics.examples == {"no_ground": ["i0 p0", "i1 (row 70)"]}
+
+
+@pytest.mark.parametrize("empty", [None, "", "  "])
+def test_rows_without_the_name_of_an_image_are_counted_apart(statistics, empty):
+    images = ["i0", empty, empty, "i3", empty]
+    add(statistics, [NO_STATION] * 4 + [OK], [-1] * 5, images=images)
+    later = two_cameras()
+    weight = np.array([5.0, 5.0, 5.0])
+    add(later, [OK, NO_STATION, NO_STATION], [-1] * 3, images=["i0", "i1", empty], weight=weight)
+    statistics.merge(later)
+    assert statistics.status["no_station"] == 14
+    assert statistics.no_image == 7
+    assert statistics.first_no_image == "101"
+    assert statistics.examples == {"no_station": ["i0 p0", "i3 p3", "i1 (row 101)"]}
+
+
+def test_the_first_row_without_an_image_is_that_of_any_part_with_its_point(statistics):
+    later = two_cameras()
+    add(statistics, [OK, OK], [0, 0])
+    add(later, [NO_STATION, NO_STATION], [-1, -1], images=[None, None], numbers=np.array([7, 9]))
+    statistics.merge(later)
+    assert statistics.first_no_image == "7 (point p0)"
+    assert statistics.examples == {}
 
 
 def test_variances_of_the_air_are_sums_of_squares_in_both_axes(statistics):

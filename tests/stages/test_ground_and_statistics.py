@@ -161,6 +161,20 @@ def test_each_status_has_its_entry_with_its_kind_and_count(status, code, kind):
     assert message.what.startswith(f"4 of 54 observations are {status}")
 
 
+def test_rows_without_an_image_are_not_said_twice():
+    (alone,) = reported(no_station=4, no_image=4, first_no_image="7 (point p0)")
+    assert alone.code == "OBS-NO-IMAGE"
+    assert alone.kind is Kind.LOSS
+    assert "4 of 54 observations have no name of an image" in alone.what
+    assert "row 7 (point p0)" in alone.what
+    of_no_image, of_no_station = reported(
+        no_station=6,
+        no_image=4,
+    )
+    assert of_no_image.count == 4
+    assert of_no_station.count == 2
+
+
 def test_flagged_rows_are_told_with_cause_and_example_and_may_follow_from_another_loss():
     (flagged,) = reported(no_ground=4, examples={"no_ground": ["i1 p1"]})
     assert "the model ends there" in flagged.what

@@ -308,6 +308,23 @@ def test_an_exposure_outside_the_log_has_no_correction(mission, exposures):
     assert set(result[~is_of_station]["status"]) == {"ok"}
 
 
+def test_empty_cells_in_the_column_of_images_are_counted_apart(mission):
+    table = mission.measurements().to_pandas()
+    table["image"] = table["image"].astype(object)
+    points = table.loc[[4, 9], "point"].tolist()
+    table.loc[[4, 9], "image"] = None
+    observe(mission, table)
+
+    manifest = mission.run_to_manifest(3)
+
+    entry = entry_of(manifest, "OBS-NO-IMAGE")
+    assert entry["count"] == 2
+    assert f"row 4 (point {points[0]})" in entry["what"]
+    assert entry["where"] == "observations.columns.image"
+    assert "OBS-FLAGGED" not in codes_of(manifest)
+    assert "None" not in json.dumps(manifest["ledger"])
+
+
 def test_a_log_without_any_attitude(mission, baseline):
     content = mission.log.read_bytes()
     without_attitude = without(content, "ATT", 0.0, np.inf)

@@ -513,6 +513,8 @@ def test_angles_that_no_tie_point_checks_are_told(block, table):
     measured.to_parquet(block.folder / "observations.parquet", index=False)
     unchecked = message_of(prepared(block, table), "ORIENTATION-UNCHECKED")
     assert unchecked.kind == "warning"
+    for unknown in ("angles", "heights of stations and ground", "principal distance", "axes"):
+        assert unknown in unchecked.what
 
 
 # --- the example of the guide -----------------------------------------------------------------

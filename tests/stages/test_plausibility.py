@@ -26,10 +26,11 @@ from unbend.refraction.effect import Effect
 from unbend.stages.multi_image.messages import ties_contradict
 from unbend.stages.plausibility.causes import cause_of_outside
 from unbend.stages.plausibility.facts import Facts
-from unbend.stages.plausibility.findings import hold_back_ties
+from unbend.stages.plausibility.findings import hold_back_extents, hold_back_ties
 from unbend.stages.plausibility.rules import (
     RULES,
     air_of_flight,
+    are_sides_exchanged,
     distortion,
     field_of_view,
     median_distance_km,
@@ -78,6 +79,11 @@ params of another image:
     code: PLAUSIBLE-PRINCIPAL-POINT
     key: cameras.nadir, params or file
     words: is 20 % of the image
+width and height:
+    mission: {cameras.nadir.width_px: 10600, cameras.nadir.height_px: 14000}
+    code: PLAUSIBLE-PRINCIPAL-POINT
+    key: cameras.nadir.width_px
+    words: width_px and height_px seem exchanged
 fy of another:
     mission: {cameras.nadir.fy_px: 26000.0}
     code: PLAUSIBLE-VIEW
@@ -547,6 +553,63 @@ def test_nothing_is_held_back_by_what_is_accepted_or_of_what_is_a_note(kind_of_c
     ledger = ledger_of({"PLAUSIBLE-VIEW": kind_of_cause, "TIES-MOUNT": kind_of_ties})
     hold_back_ties(ledger)
     assert [entry.code for entry in ledger] == ["PLAUSIBLE-VIEW", "TIES-MOUNT"]
+
+
+@pytest.mark.parametrize(
+    ("camera", "is_exchanged"),
+    [
+        ((10600, 14000, 7012.4, 5291.7), True),
+        ((14000, 10600, 7012.4, 5291.7), False),
+        ((10600, 14000, 5300.0, 7000.0), False),
+        ((14000, 10600, 4200.0, 5300.0), False),  # of another image
+        ((10600, 10600, 5300.0, 5300.0), False),
+        ((10000, 10500, 5250.0, 5000.0), False),  # nearly square: in the middle of both
+    ],
+)
+def test_sides_are_exchanged_if_the_principal_point_is_at_the_other_middle(camera, is_exchanged):
+    width, height, cx, cy = camera
+    assert are_sides_exchanged(Camera(width, height, 20000.0, 20000.0, cx, cy)) is is_exchanged
+
+
+def ledger_of_exchanged(kind=Kind.FINDING):
+    """What is found of two cameras with exchanged sides and a third, whose points are outside."""
+    ledger = Ledger()
+    for code, name in (
+        ("PLAUSIBLE-PRINCIPAL-POINT", "nadir"),
+        ("PLAUSIBLE-PRINCIPAL-POINT", "oblique"),
+        ("PLAUSIBLE-EXTENT", "nadir"),
+        ("PLAUSIBLE-EXTENT", "oblique"),
+        ("PLAUSIBLE-EXTENT", "third"),
+        ("PLAUSIBLE-FLAGGED", "outside_camera"),
+        ("PLAUSIBLE-FLAGGED", "no_ground"),
+    ):
+        of_code = Code(code, means="...", effect="...", remedy="...")
+        ledger.add(message(kind, of_code, "said of {name}", name=name))
+    return ledger
+
+
+def test_what_follows_from_exchanged_sides_is_held_back():
+    ledger = ledger_of_exchanged()
+    hold_back_extents(["nadir", "oblique"], ledger)
+    found = [(entry.code, entry.values["name"]) for entry in ledger if entry.kind is Kind.FINDING]
+    assert found == [
+        ("PLAUSIBLE-PRINCIPAL-POINT", "nadir"),
+        ("PLAUSIBLE-PRINCIPAL-POINT", "oblique"),
+        ("PLAUSIBLE-EXTENT", "third"),
+        ("PLAUSIBLE-FLAGGED", "no_ground"),
+    ]
+    (note,) = with_code(ledger, "SIDES-HELD-BACK")
+    assert note.kind is Kind.NOTE
+    assert note.count == 3
+    assert "PLAUSIBLE-EXTENT, PLAUSIBLE-FLAGGED" in note.what
+    assert "nadir, oblique" in note.what
+
+
+@pytest.mark.parametrize(("exchanged", "kind"), [([], Kind.FINDING), (["nadir"], Kind.WARNING)])
+def test_nothing_is_held_back_without_exchanged_sides_or_if_they_are_accepted(exchanged, kind):
+    ledger = ledger_of_exchanged(kind)
+    hold_back_extents(exchanged, ledger)
+    assert len(ledger) == 7
 
 
 def test_an_image_that_the_log_does_not_know_is_one_loss(mission):

@@ -17,6 +17,12 @@ from unbend.tables.manifest.messages import MANIFEST_UNREADABLE
 
 # Inputs
 
+INPUT_FOLDER = Code(
+    "INPUT-FOLDER",
+    means="The mission file names a folder in the place of a file.",
+    effect="The mission is refused.",
+    remedy="Name the file in the folder; paths are relative to the mission file.",
+)
 INPUT_UNREADABLE = Code(
     "INPUT-UNREADABLE",
     means="A file cannot be read.",
@@ -40,6 +46,47 @@ def input_missing(*, role: str, path: str, key: str) -> InputError:
         remedy="check {key} in the mission file; paths are relative to it",
         role=role,
         key=key,
+    )
+
+
+def folder_as_input(*, role: str, path: str, key: str, meant: str = "") -> InputError:
+    """A folder in the place of a file; ``meant`` is the only file in it that fits, or empty."""
+    remedy = "name the file in it: {key} in the mission file"
+    if meant:
+        remedy = "perhaps {key}: {meant}"
+    elif role == "observations":
+        remedy += "; the folder of a block of another program needs observations.format"
+    return InputError(
+        INPUT_FOLDER,
+        "the {role} path is a folder, not a file",
+        where=path,
+        remedy=remedy,
+        role=role,
+        key=key,
+        meant=meant,
+    )
+
+
+def results_as_input(*, role: str, path: str, key: str, run: str) -> InputError:
+    """A folder of the results of a run in the place of a file."""
+    if role == "observations":
+        return InputError(
+            INPUT_FOLDER,
+            "the {role} path is the folder of the results of a run: its points are corrected "
+            "already",
+            where=path,
+            remedy="name the table of the measurements: {key} in the mission file",
+            role=role,
+            key=key,
+        )
+    return InputError(
+        INPUT_FOLDER,
+        "the {role} path is the folder of the results of a run, not a file",
+        where=path,
+        remedy="name the {role} file: {key} in the mission file; {run} has results only",
+        role=role,
+        key=key,
+        run=run,
     )
 
 
@@ -234,6 +281,19 @@ def no_manifest(*, path: str) -> StorageError:
         "there is no manifest: no run has finished here",
         where=path,
         remedy="run the mission",
+    )
+
+
+def no_folder_of_results(*, path: str) -> StorageError:
+    """A finished run is wanted, and the folder has no trace of one."""
+    return StorageError(
+        VERIFY_NO_MANIFEST,
+        "is not the folder of the results of a run: it has none of the files that a run writes",
+        where=path,
+        remedy=(
+            "name the folder of the results: output.path of the mission file, relative to that "
+            "file; if the mission was not run yet, run it"
+        ),
     )
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from unbend.batch import messages, remote
+from unbend.batch import remote
 from unbend.batch.input_files import block_program, named_inputs
-from unbend.batch.plan import located, with_camera_files
+from unbend.batch.plan import located, refuse_missing, with_camera_files
 from unbend.batch.remote import Place
 from unbend.block.known_places import KnownPlaces
 from unbend.config import Mission
@@ -118,8 +118,8 @@ def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[s
     """Where the files are of a mission whose observations and orientations are in memory.
 
     Returns the mission, with what the files of its cameras say, and the paths by role. Such a
-    mission has no log. Refuses (INPUT-MISSING) what is not there; an input in object storage is
-    copied.
+    mission has no log. Refuses (INPUT-MISSING, INPUT-FOLDER) what is not there, and a folder in the
+    place of a file; an input in object storage is copied.
     """
     paths = {}
     for named in named_inputs(mission):
@@ -128,10 +128,9 @@ def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[s
         place = located(named.name, folder)
         if isinstance(place, Place):
             paths[named.role] = remote.fetch(remote.look_up(place))
-        elif place.exists():
-            paths[named.role] = place
         else:
-            raise messages.input_missing(role=named.role, path=str(place), key=named.key)
+            refuse_missing(named, place)
+            paths[named.role] = place
     return with_camera_files(mission, paths), paths
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from unbend.batch import messages, remote
 from unbend.batch.fingerprint import fingerprint_of, versions_of
+from unbend.batch.folders_as_files import folder_refusal
 from unbend.batch.input_files import (
     Input,
     NamedInput,
@@ -170,9 +171,11 @@ def readable(named: NamedInput, place: Path | Place) -> Iterator[None]:
 
 
 def refuse_missing(named: NamedInput, path: Path) -> None:
-    """Refuse (INPUT-MISSING) an input that is not there, or a folder in the place of a file."""
+    """Refuse an input that is not there, and a folder in the place of a file (INPUT-FOLDER)."""
     if path.is_file() or (path.is_dir() and named.may_be_folder):
         return
+    if path.is_dir():
+        raise folder_refusal(named, path)
     raise messages.input_missing(role=named.role, path=str(path), key=named.key)
 
 
@@ -197,10 +200,11 @@ def local_input(named: NamedInput, path: Path, known: InputRecord | None, *, ver
 def look_up(named: NamedInput, place: Place) -> RemoteInput:
     """An input as it is in object storage now.
 
-    Raises FileNotFoundError where it is not there, or is a folder and must be one object.
+    Raises FileNotFoundError where it is not there. Refuses (INPUT-FOLDER) a folder that must be
+    one object.
     """
     if place.is_folder and not named.may_be_folder:
-        raise FileNotFoundError(str(place))
+        raise messages.folder_as_input(role=named.role, path=str(place), key=named.key)
     return remote.look_up(place)
 
 

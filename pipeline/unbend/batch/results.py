@@ -34,13 +34,17 @@ def manifest_of_run(output: Path | Place) -> Manifest:
     if manifest is not None:
         return manifest
     path = str(output)
-    if isinstance(output, Path) and output.is_file():
+    if not isinstance(output, Path):
+        raise messages.no_manifest(path=path)
+    if output.is_file():
         folder = run_of(output)
         folder_text = "" if folder is None else str(folder)
         raise messages.file_instead_of_run(
             path=path,
             folder=folder_text,
         )
+    if output.is_dir() and not store.has_traces(output):
+        raise messages.no_folder_of_results(path=path)
     raise messages.no_manifest(path=path)
 
 

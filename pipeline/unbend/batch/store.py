@@ -311,6 +311,12 @@ def _refuse_links(path: Path) -> None:
             raise messages.result_is_link(path=str(path), name=name)
 
 
+def has_traces(path: Path) -> bool:
+    """Whether a folder has a file that a run writes, finished or not."""
+    names = (_LOCK, STAGING, *_RESULTS, MANIFEST)
+    return any(os.path.lexists(path / name) for name in names)
+
+
 def lock_folder(path: Path) -> FileLock:
     """The lock of a folder, acquired.
 

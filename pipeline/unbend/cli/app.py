@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import csv as csv_module
 import json
+import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import cached_property, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -23,6 +24,7 @@ from typer import Option
 from typer.core import TyperCommand, TyperGroup
 
 import unbend
+from unbend.cli.messages import command_not_first
 from unbend.errors import UnbendError, storage_errors
 from unbend.exit_codes import exit_code_of
 from unbend.report.progress import DelayedProgressBar
@@ -75,11 +77,39 @@ class _Group(TyperGroup):
                 formatter.write_dl(rows)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command and its words; refuses (URL-INVALID) a URL where paths are taken."""
+        """The command and its words; refuses (URL-INVALID) a URL where paths are taken.
+
+        Refuses (COMMAND-ORDER) a file in the place of the command.
+        """
+        refuse_file_as_command(args, self.commands)
         name, command, words = super().resolve_command(ctx, args)
         if name is not None and name not in _TAKE_URLS:
             refuse_urls(name, words)
         return name, command, words
+
+
+def refuse_file_as_command(words: Sequence[str], commands: Collection[str]) -> None:
+    """Refuse (COMMAND-ORDER) a line of words that begins with a file, and say how to write it.
+
+    The command is the first word that is one; without one, a mission file is meant to be run.
+    """
+    first = words[0]
+    if first in commands:
+        return
+    from unbend.config.other_files import MISSION_ENDINGS
+
+    is_mission = first.lower().endswith(MISSION_ENDINGS)
+    if not is_mission and not Path(first).exists():
+        return
+    others = list(words)
+    command_name = next((word for word in words if word in commands), "")
+    if command_name:
+        others.remove(command_name)
+    elif is_mission:
+        command_name = "run"
+    else:
+        return
+    raise command_not_first(word=first, command_line=shlex.join(["unbend", command_name, *others]))
 
 
 def refuse_urls(command: str, words: Iterable[str]) -> None:

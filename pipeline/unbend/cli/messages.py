@@ -2,6 +2,12 @@
 
 from unbend.errors import Code, ConfigError, StorageError
 
+COMMAND_ORDER = Code(
+    "COMMAND-ORDER",
+    means="The first word of the command line is a file, not a command.",
+    effect="Nothing is run.",
+    remedy="Write the command first: unbend run mission.yaml.",
+)
 RUN_ARGUMENTS = Code(
     "RUN-ARGUMENTS",
     means="Options of `run` that cannot be combined.",
@@ -41,6 +47,17 @@ INIT_EXISTS = Code(
     effect="Nothing was written.",
     remedy="Choose another name with --out, or replace the file with --force.",
 )
+
+
+def command_not_first(*, word: str, command_line: str) -> ConfigError:
+    """The command does not come first; ``command_line`` has it there."""
+    return ConfigError(
+        COMMAND_ORDER,
+        "{word!r} is not a command: the command comes first",
+        remedy="write: {command_line}",
+        word=word,
+        command_line=command_line,
+    )
 
 
 def jobs_and_scheduler() -> ConfigError:

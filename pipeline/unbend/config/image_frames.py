@@ -25,14 +25,16 @@ def image_frame_of(
         if frame is None:
             raise SectionError(
                 f"observations.unit: {observations.unit} needs cameras.{name}.metric, which states "
-                "the origin and the axes of the millimetres, and the size of a pixel"
+                "the origin and the axes of the millimetres, and the size of a pixel",
+                at=("observations", "unit"),
             )
         frames.add(frame)
     if len(frames) > 1:
         raise SectionError(
             f"observations.unit: {observations.unit} needs one frame for all cameras (the same "
             "size, pixel_um, origin and axes under metric); give the observations of the other "
-            "cameras in pixels, or in separate missions"
+            "cameras in pixels, or in separate missions",
+            at=("observations", "unit"),
         )
     (frame_of_all,) = frames
     return frame_of_all

@@ -1,6 +1,5 @@
 """A mission file as a model with strict types and no unknown keys."""
 
-import difflib
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -11,6 +10,11 @@ from pydantic import Field, PrivateAttr, field_validator, model_validator
 from unbend.atmosphere.refractive_index import INDEX_OF_ONE_LIGHT
 from unbend.config.atmosphere import AtmosphereSection
 from unbend.config.blocks import with_block
+from unbend.config.camera_names import (
+    cameras_by_section,
+    check_camera_names,
+    check_table_of_exposures,
+)
 from unbend.config.cameras import CameraSection
 from unbend.config.event_sources import EventsSection, PositionEvents
 from unbend.config.ground import ControlSection, GroundSection
@@ -226,7 +230,8 @@ class Mission(Section):
             if not needed <= set(trajectory.replaces):
                 raise SectionError(
                     "there is no log, so all values of the trajectory are used: remove the key "
-                    "stations.trajectory.replaces"
+                    "stations.trajectory.replaces",
+                    at=("stations", "trajectory", "replaces"),
                 )
         if orientation is None and self.events is None:
             raise SectionError("events is missing, and there is no stations.orientation")
@@ -240,15 +245,22 @@ class Mission(Section):
         if self.log is not None:
             return self
         if self.events is not None and self.events.log is not None:
-            raise SectionError("events.log takes the exposures from a log, and there is no log")
+            raise SectionError(
+                "events.log takes the exposures from a log, and there is no log",
+                at=("events", "log"),
+            )
         for name, mount in self.mount.items():
             if mount.attitude is not None:
-                raise SectionError(f"mount.{name}.attitude names a channel, and there is no log")
+                raise SectionError(
+                    f"mount.{name}.attitude names a channel, and there is no log",
+                    at=("mount", name, "attitude"),
+                )
         for name, camera in self.cameras.items():
             if camera.needs_cabin_from_log:
                 raise SectionError(
                     f"cameras.{name}.window.cabin takes the cabin's air from a log, and there is "
-                    "no log"
+                    "no log",
+                    at=("cameras", name, "window", "cabin"),
                 )
         return self
 
@@ -256,9 +268,12 @@ class Mission(Section):
     def _check_cameras_of_files(self) -> Self:
         orientation = self.stations.orientation
         of_block = is_block(self.observations.format) or (orientation and orientation.of_block)
-        for camera in self.cameras.values():
+        for name, camera in self.cameras.items():
             if camera.camera is not None and not camera.file and not of_block:
-                raise SectionError("cameras.<name>.camera needs file, or a block")
+                raise SectionError(
+                    f"cameras.{name}.camera needs file, or a block",
+                    at=("cameras", name, "camera"),
+                )
         return self
 
     @model_validator(mode="after")
@@ -268,11 +283,15 @@ class Mission(Section):
         if orientation is None:
             return self
         if orientation.known_positions == "log" and (self.log is None or self.events is None):
-            raise SectionError("known_positions: log needs log and events")
+            raise SectionError(
+                "stations.orientation.known_positions: log needs log and events",
+                at=("stations", "orientation", "known_positions"),
+            )
         camera = orientation.camera
         if camera is not None and camera not in self.cameras:
             raise SectionError(
-                f"stations.orientation names camera {camera!r}, which is not under cameras"
+                f"stations.orientation names camera {camera!r}, which is not under cameras",
+                at=("stations", "orientation", "camera"),
             )
         return self
 
@@ -366,7 +385,8 @@ class Mission(Section):
                 raise SectionError(
                     f"the {window.section} of camera {name!r} has a normal away from the viewing "
                     f"direction: with this mount it is [{x:.3f}, {y:.3f}, {z:.3f}] in the camera "
-                    "frame, where forward is positive"
+                    "frame, where forward is positive",
+                    at=("cameras", name, window.section, "normal"),
                 )
         return self
 
@@ -377,7 +397,8 @@ class Mission(Section):
         if self.atmosphere.board_temperature and not names_channel:
             raise SectionError(
                 "atmosphere.board_temperature needs log.channels.temperature, the channel of the "
-                "board, as BARO[0]"
+                "board, as BARO[0]",
+                at=("atmosphere", "board_temperature"),
             )
         return self
 
@@ -388,7 +409,8 @@ class Mission(Section):
             name = next(iter(self.wavelengths_m))
             raise SectionError(
                 f"cameras.{name}.wavelength_m has no effect with atmosphere.index: "
-                f"{self.atmosphere.index}, which is only for 0.589 um: use ciddor"
+                f"{self.atmosphere.index}, which is only for 0.589 um: use ciddor",
+                at=("cameras", name, "wavelength_m"),
             )
         return self
 
@@ -408,7 +430,8 @@ class Mission(Section):
         if self.ground.height == "block" and not has_placed_points:
             raise SectionError(
                 "ground.height: block takes the points of stations.orientation: give it a format "
-                f"of {', '.join(BLOCKS)}, and a frame that does not need the log"
+                f"of {', '.join(BLOCKS)}, and a frame that does not need the log",
+                at=("ground", "height"),
             )
         return self
 
@@ -418,7 +441,8 @@ class Mission(Section):
         if self.control is not None and self.refraction.direction == "apply":
             raise SectionError(
                 "control compares before and after the removal of refraction: leave it out with "
-                "refraction.direction: apply"
+                "refraction.direction: apply",
+                at=("control",),
             )
         return self
 
@@ -428,7 +452,8 @@ class Mission(Section):
         if self.ground.from_distance and not self.observations.columns.distance_m:
             raise SectionError(
                 "ground.height: from_distance needs observations.columns.distance_m, the name of "
-                "the column of slant ranges"
+                "the column of slant ranges",
+                at=("ground", "height"),
             )
         return self
 
@@ -440,23 +465,27 @@ class Mission(Section):
         if self.stations.orientation is not None and (trajectory is not None or position_events):
             raise SectionError(
                 "stations.orientation has position and attitude of every image: leave "
-                "stations.trajectory and events.positions out"
+                "stations.trajectory and events.positions out",
+                at=("stations", "orientation"),
             )
         if trajectory is None or not trajectory.moves_stations:
             return self
         if trajectory.point == "camera" and len(self.cameras) > 1:
             raise SectionError(
                 "stations.trajectory.point: camera is possible for one camera, not for "
-                f"{', '.join(self.cameras)}"
+                f"{', '.join(self.cameras)}",
+                at=("stations", "trajectory", "point"),
             )
         if self._has_placed_events:
             raise SectionError(
                 "stations.trajectory and events.positions both give positions; "
-                "events.positions.<camera>.times_only: true leaves them to the trajectory"
+                "events.positions.<camera>.times_only: true leaves them to the trajectory",
+                at=("events", "positions"),
             )
         if trajectory.lever_arm_m == "from_events" and not position_events:
             raise SectionError(
-                "stations.trajectory.lever_arm_m: from_events needs events.positions"
+                "stations.trajectory.lever_arm_m: from_events needs events.positions",
+                at=("stations", "trajectory", "lever_arm_m"),
             )
         return self
 
@@ -464,37 +493,6 @@ class Mission(Section):
     def _check_camera_names(self) -> Self:
         """All sections name the same cameras, of one frame where observations are in mm."""
         image_frame_of(self.observations, self.cameras)  # refuses cameras of several frames
-        named = self._cameras_by_section()
-        for section, names in named.items():
-            unknown = sorted(names - self.cameras.keys())
-            if unknown:
-                name = unknown[0]
-                nearest = difflib.get_close_matches(name, self.cameras, n=1, cutoff=0.0)[0]
-                raise SectionError(f"{section} names camera {name!r}; perhaps {nearest!r}?")
-        for section, names in named.items():
-            if section == "events.csv.camera":  # other cameras may have no exposures
-                continue
-            without_entry = sorted(self.cameras.keys() - names)
-            if without_entry:
-                raise SectionError(f"camera {without_entry[0]!r} has no entry under {section}")
+        check_table_of_exposures(self.cameras, self.events)
+        check_camera_names(self.cameras, cameras_by_section(self.mount, self.events))
         return self
-
-    def _cameras_by_section(self) -> dict[str, set[str]]:
-        """The names of cameras under each section that has such names, by the section's key.
-
-        Refuses (SectionError) a table of exposures that does not say which of several cameras.
-        """
-        named = {"mount": set(self.mount)}
-        events = self.events
-        if events is None:
-            return named
-        if events.log is not None:
-            named["events.log"] = set(events.log)
-        if self.position_events:
-            named["events.positions"] = set(self.position_events)
-        if events.csv is not None:
-            camera = events.csv.camera
-            if camera is None and events.csv.columns.camera is None and len(self.cameras) > 1:
-                raise SectionError("events.csv must state which camera: camera or columns.camera")
-            named["events.csv.camera"] = set() if camera is None else {camera}
-        return named

@@ -32,10 +32,14 @@ _SHOWN_OF_END = 16  # the same of its end
 
 @dataclass(frozen=True)
 class Mistake:
-    """A value that is not allowed: where it stands, and what is wrong."""
+    """A value that is not allowed: where it stands, and what is wrong.
+
+    The line of the mistake is that of ``line_place``, which the text names.
+    """
 
     place: Place
     what: str
+    line_place: Place
 
 
 @dataclass(frozen=True)
@@ -44,12 +48,15 @@ class Refused:
 
     kind : pydantic's type of the error.
     place, value : where in the file it is, and what stands there; None for a missing key.
+    line_place : whose line is named; inside the place, where the text names keys of several
+        sections.
     text : that of the validator that refuses it, empty if pydantic itself does.
     """
 
     kind: str
     place: Place
     value: Any
+    line_place: Place
     text: str = ""
 
 
@@ -73,9 +80,9 @@ def sentences_of(
     for mistake in mistakes_of(items[:MOST_REFUSED], values):
         if len(sentences) > MOST_SENTENCES:
             break
-        line = 0 if node is None else line_of(node, mistake.place)
+        line = 0 if node is None else line_of(node, mistake.line_place)
         origin = "" if node is None else f"line {line}"
-        if own is not None and not has_place(own, _nearest_place(values, mistake.place)):
+        if own is not None and not has_place(own, _nearest_place(values, mistake.line_place)):
             origin = "defaults of the campaign"
         key = _written(mistake.place)
         parts = [part for part in (origin, key, mistake.what) if part]
@@ -87,23 +94,39 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
     """The open questions of a file, and what the models refuse of it for other reasons."""
     questions = open_questions(values)
     for place in questions:
-        yield Mistake(place, f"still TODO: allowed are {allowed_at(place)}")
+        yield Mistake(place, f"still TODO: allowed are {allowed_at(place)}", place)
     all_refused = [_refused(values, item) for item in items]
+    misspelt = _misspelt_keys(all_refused, is_campaign="campaign" in values)
     for refused in all_refused:
         # TODO is refused as a value too, and so may be the section around it.
         follows = any(_overlap(refused.place, question) for question in questions)
-        if follows or _is_arm(refused, all_refused):
+        is_misspelt = refused.kind == "missing" and refused.place in misspelt
+        if follows or is_misspelt or _is_arm(refused, all_refused):
             continue
-        yield Mistake(refused.place, _what(refused, values))
+        yield Mistake(refused.place, _what(refused, values), refused.line_place)
+
+
+def _misspelt_keys(all_refused: Iterable[Refused], *, is_campaign: bool) -> set[Place]:
+    """The places that unknown keys seem to mean: what is missing there is not missing."""
+    meant = set()
+    for refused in all_refused:
+        if refused.kind == "extra_forbidden":
+            key = _suggested_key(refused.place, is_campaign=is_campaign)
+            meant.add((*refused.place[:-1], key))
+    return meant
 
 
 def _refused(values: object, item: Mapping[str, Any]) -> Refused:
     """An error of pydantic, at its place in the file, which may be the key that it names."""
     error = item.get("ctx", {}).get("error")
     place, value = _found_at(values, item["loc"])
-    if isinstance(error, SectionError) and error.key:
-        place = (*place, error.key)
-    return Refused(item["type"], place, value, "" if error is None else str(error))
+    line_place = place
+    if isinstance(error, SectionError):
+        if error.key:
+            place = (*place, error.key)
+        line_place = (*place, *error.at)
+    text = "" if error is None else str(error)
+    return Refused(item["type"], place, value, line_place, text)
 
 
 def _is_within(place: Place, outer: Place) -> bool:
@@ -182,9 +205,8 @@ def _has_only_keys(section: Mapping[str, object]) -> bool:
     return bool(values) and all(value is None for value in values)
 
 
-def _unknown_key(place: Place, *, is_campaign: bool) -> str:
-    """What to write instead of a key that there is not."""
-    section = place[:-1]
+def _keys_at(section: Place, *, is_campaign: bool) -> set[str]:
+    """The keys that a section takes."""
     nodes = nodes_at(section)
     if is_campaign and not section:  # the file itself, which `nodes_at` takes for a mission's
         nodes = [campaign_schema()]
@@ -192,6 +214,26 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
     for node in nodes:
         for arm in alternatives(node):
             allowed_keys.update(arm.get("properties", {}))
+    return allowed_keys
+
+
+def _suggested_key(place: Place, *, is_campaign: bool) -> str:
+    """The key of the same section that an unknown key seems to mean; "" if there is none."""
+    key = str(place[-1])
+    allowed_keys = _keys_at(place[:-1], is_campaign=is_campaign)
+    other_unit = same_in_other_unit(key, allowed_keys)
+    if other_unit:
+        return other_unit
+    if len(sections_with_key(key)) == 1:
+        return ""
+    near = difflib.get_close_matches(key, sorted(allowed_keys), n=1, cutoff=LEAST_SIMILARITY)
+    return near[0] if near else ""
+
+
+def _unknown_key(place: Place, *, is_campaign: bool) -> str:
+    """What to write instead of a key that there is not."""
+    section = place[:-1]
+    allowed_keys = _keys_at(section, is_campaign=is_campaign)
     key = str(place[-1])
     metric = camera_in_millimetres(key)
     if len(section) == 2 and section[0] == "cameras" and metric:
@@ -206,9 +248,9 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
     elsewhere = sections_with_key(key)
     if len(elsewhere) == 1:
         return f"unknown key here; it is a key of another section: {elsewhere[0]}.{key}"
-    near = difflib.get_close_matches(key, sorted(allowed_keys), n=1, cutoff=LEAST_SIMILARITY)
+    near = _suggested_key(place, is_campaign=is_campaign)
     if near:
-        return f"unknown key; perhaps {near[0]!r}?"
+        return f"unknown key; perhaps {near!r}?"
     return f"unknown key; allowed: {', '.join(sorted(allowed_keys))}"
 
 

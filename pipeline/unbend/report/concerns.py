@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from unbend.report.explanations import meanings
 from unbend.report.words import count
 from unbend.tables.manifest.whole import Manifest
 
@@ -10,6 +11,7 @@ LOSSES_OF_ROWS = (
     "IMAGES-UNMATCHED",
     "OBS-FLAGGED",
     "OBS-GROUND-RANGE",
+    "OBS-NO-IMAGE",
     "POINTS-MISSING",
     "STATIONS-FLAGGED",
 )
@@ -20,6 +22,12 @@ OF_SUSPECTS = ("STATIONS-SUSPECT", "STATIONS-HEIGHT", "ORIENTATION-FAR", "ORIENT
 
 OF_INCOMPLETE_LOGS = ("LOG-DROPOUT", "LOG-GAP", "LOG-LINK-LOSS")
 """Findings that messages are missing between the rest of a log, which is no mistake."""
+
+
+OF_LOGS = "LOG-"
+"""Codes of damaged or incomplete logs begin so."""
+
+MOST_REMEDIES = 3  # that the next steps have of losses; the ledger has the others
 
 
 class Concern(NamedTuple):
@@ -93,8 +101,30 @@ def _losses(manifest: Manifest) -> Iterator[Concern]:
         names = ", ".join(codes)
         yield Concern(
             f"{count(len(codes), 'loss', 'losses')} ({names})",
-            f"Check which data was lost ({names}). If there is a complete file, use it.",
+            " ".join(steps_of_losses(codes)),
         )
+
+
+def steps_of_losses(codes: Sequence[str]) -> list[str]:
+    """What to do about losses: for those of a log as one, for others the remedies of their codes.
+
+    >>> steps_of_losses(["AIR-SOURCE-FAR"])
+    ['AIR-SOURCE-FAR: Give a report or sounding of the same day and region.']
+    """
+    steps = []
+    of_logs = [code for code in codes if code.startswith(OF_LOGS)]
+    if of_logs:
+        names = ", ".join(of_logs)
+        steps.append(f"Check which data was lost ({names}). If there is a complete file, use it.")
+    others = [code for code in codes if code not in of_logs]
+    meaning_of_code = meanings()["codes"]
+    explained = [code for code in others if code in meaning_of_code][:MOST_REMEDIES]
+    for code in explained:
+        steps.append(f"{code}: {meaning_of_code[code].remedy}")
+    unexplained = [code for code in others if code not in explained]
+    if unexplained:
+        steps.append(f"See what the ledger says of {', '.join(unexplained)}.")
+    return steps
 
 
 def _published_method(manifest: Manifest) -> Iterator[Concern]:

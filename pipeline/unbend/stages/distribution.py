@@ -1,4 +1,4 @@
-"""Distributions of the magnitudes of a stream, in fixed memory."""
+"""Distributions of the magnitudes of a stream, in fixed memory; quantiles of weighted rows."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from unbend.tables.manifest.results import DistributionRecord, HistogramRecord
+from unbend.tables.manifest.results import DistributionRecord, HistogramRecord, Quantiles
 from unbend.units import Array, Integers, round_step
 
 _LOWEST_EXPONENT = -12  # of 10: the first bin; zero falls into it
@@ -114,3 +114,29 @@ def to_digits(value: float | None, digits: int) -> float | None:
     if value is None:
         return None
     return float(f"{value:.{digits}g}")
+
+
+def median_and_p95(values: Array, weight: Array) -> Quantiles:
+    """The median of the finite values, and what 95 % of them do not exceed."""
+    median = weighted_quantile(values, weight, 0.5)
+    p95 = weighted_quantile(values, weight, 0.95)
+    return Quantiles(median, p95)
+
+
+def weighted_quantile(
+    values: Array,
+    weight: Array,
+    share: float,
+) -> float | None:
+    """The value that a share of the finite values does not exceed, to six digits; None without any.
+
+    >>> weighted_quantile(np.array([1.0, 5.0, 9.0]), np.array([1.0, 1.0, 3.0]), 0.5)
+    9.0
+    """
+    order = np.argsort(values)
+    order = order[np.isfinite(values[order])]
+    if not order.size:
+        return None
+    weight_up_to = np.cumsum(weight[order])
+    row = order[np.searchsorted(weight_up_to, share * weight_up_to[-1])]
+    return float(f"{values[row]:.6g}")

@@ -1271,6 +1271,36 @@ def points_missing(*, where: str, count: int, rows: int) -> Message:
     )
 
 
+OBS_NO_IMAGE = Code(
+    "OBS-NO-IMAGE",
+    means="The name of the image is missing in rows of the observations.",
+    effect=(
+        "These rows have the status no_station, and no corrected values. The run ends with exit "
+        "code 3."
+    ),
+    remedy="Fill the column of images (observations.columns.image), or leave these rows out.",
+)
+
+
+def image_names_missing(*, where: str, count: int, total: int, first: str) -> Message:
+    """Rows whose cell in the column of images is empty."""
+    return loss(
+        OBS_NO_IMAGE,
+        (
+            "{count} of {total} observations have no name of an image, the first is row {first}, "
+            "counted from 0: their status is no_station; fill the column, or leave the rows out"
+        ),
+        one=(
+            "1 of {total} observations has no name of an image, row {first}, counted from 0: its "
+            "status is no_station; fill the column, or leave the row out"
+        ),
+        where=where,
+        count=count,
+        total=total,
+        first=first,
+    )
+
+
 OBS_FLAGGED = Code(
     "OBS-FLAGGED",
     means=(

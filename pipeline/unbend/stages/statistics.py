@@ -15,15 +15,14 @@ from unbend.flight.heights import HIGHEST_GROUND_M, LOWEST_GROUND_M
 from unbend.messages import Kind, Ledger, Message
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import Corrections
-from unbend.refraction.status_codes import OK, STATUS_NAMES
+from unbend.refraction.status_codes import NO_STATION, OK, STATUS_NAMES
 from unbend.stages import messages
-from unbend.stages.distribution import Distribution
+from unbend.stages.distribution import Distribution, median_and_p95, weighted_quantile
 from unbend.tables.manifest.results import (
     CameraShifts,
     CorrectionRecord,
     GroundHeightsRecord,
     GroundHistogram,
-    Quantiles,
     ShiftField,
     SigmaRecord,
 )
@@ -44,6 +43,7 @@ ADDED = (
     "no_distance",
     "no_sigma",
     "no_point",
+    "no_image",
     "implausible_heights",
     "parts",
     "air_variance",
@@ -204,6 +204,8 @@ class Statistics:
     examples : the first images and points of each status but ok, in the order of the rows.
     no_distance, no_sigma, no_point, implausible_heights : how many rows have a slant range, a sigma
         or a height of the ground that cannot be used, or a point without a height.
+    no_image : how many rows have no name of an image; they are among those of no_station.
+    first_no_image : number and point of the first of them.
     ground_m : the lowest and the highest ground that was used; infinite before any.
     air_variance : sum of the squares of the sigmas of corrections by the air [px2].
     by_mode : sum of the squares of the derivatives of corrections by the parameter of the leading
@@ -220,6 +222,8 @@ class Statistics:
     no_distance: int = 0
     no_sigma: int = 0
     no_point: int = 0
+    no_image: int = 0
+    first_no_image: str = ""
     implausible_heights: int = 0
     ground_m: tuple[float, float] = (math.inf, -math.inf)
     air_variance: float = 0.0
@@ -271,15 +275,28 @@ class Statistics:
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
             self.status[name] = self.status.get(name, 0) + round(count)
         for code in np.unique(corrections.status[corrections.status != OK]).tolist():
-            first = np.flatnonzero(corrections.status == code)[:MOST_EXAMPLES]
+            rows = np.flatnonzero(corrections.status == code)
+            if code == NO_STATION:
+                has_no_image = batch.without_image(rows)
+                self._add_rows_without_image(batch, rows[has_no_image])
+                rows = rows[~has_no_image]
             examples = []
-            for row in first.tolist():
-                number = batch.first_row + row
-                if batch.numbers is not None:
-                    number = batch.numbers[row]
-                point = batch.point[row].as_py() or f"(row {number})"
+            for row in rows[:MOST_EXAMPLES].tolist():
+                point = batch.point[row].as_py() or f"(row {batch.number_of(row)})"
                 examples.append(f"{batch.image[row]} {point}")
-            self.examples[STATUS_NAMES[code]] = examples
+            if examples:
+                self.examples[STATUS_NAMES[code]] = examples
+
+    def _add_rows_without_image(self, batch: Batch, rows: NDArray[np.int64]) -> None:
+        """Count rows (k,) of a batch without the name of an image, and keep the first."""
+        if not rows.size:
+            return
+        weight = np.ones(rows.size) if batch.weight is None else batch.weight[rows]
+        self.no_image += round(weight.sum())
+        first = int(rows[0])
+        point = batch.point[first].as_py()
+        of_point = f" (point {point})" if point else ""
+        self.first_no_image = f"{batch.number_of(first)}{of_point}"
 
     def sampled_rows(self) -> SampledRows:
         """The sampled rows of all parts, one part after the other."""
@@ -297,6 +314,7 @@ class Statistics:
         self.ground_m = min(low, other_low), max(high, other_high)
         for name, count in other.status.items():
             self.status[name] = self.status.get(name, 0) + count
+        self.first_no_image = self.first_no_image or other.first_no_image
         for name, texts in other.examples.items():
             examples = self.examples.get(name, []) + texts
             self.examples[name] = examples[:MOST_EXAMPLES]
@@ -397,8 +415,19 @@ class Statistics:
                     high=HIGHEST_GROUND_M,
                 )
             )
-        for status, count in self.status.items():
-            if status != "ok" and count:
+        if self.no_image:
+            ledger.add(
+                messages.image_names_missing(
+                    where="observations.columns.image",
+                    count=self.no_image,
+                    total=self.rows,
+                    first=self.first_no_image,
+                )
+            )
+        counts = dict(self.status)
+        counts["no_station"] = counts.get("no_station", 0) - self.no_image
+        for status, count in counts.items():
+            if status != "ok" and count > 0:
                 message = self.flagged(status, count, causes.get(status, ""))
                 if status in explained:
                     message = replace(message, kind=Kind.NOTE)
@@ -458,25 +487,3 @@ def sigma_records(
                 m=median_and_p95(sigma_px * metres_per_px, weight),
             )
     return records
-
-
-def median_and_p95(values: Array, weight: Array) -> Quantiles:
-    """The median of the finite values, and what 95 % of them do not exceed."""
-    median = weighted_quantile(values, weight, 0.5)
-    p95 = weighted_quantile(values, weight, 0.95)
-    return Quantiles(median, p95)
-
-
-def weighted_quantile(values: Array, weight: Array, share: float) -> float | None:
-    """The value that a share of the finite values does not exceed, to six digits; None without any.
-
-    >>> weighted_quantile(np.array([1.0, 5.0, 9.0]), np.array([1.0, 1.0, 3.0]), 0.5)
-    9.0
-    """
-    order = np.argsort(values)
-    order = order[np.isfinite(values[order])]
-    if not order.size:
-        return None
-    weight_up_to = np.cumsum(weight[order])
-    row = order[np.searchsorted(weight_up_to, share * weight_up_to[-1])]
-    return float(f"{values[row]:.6g}")

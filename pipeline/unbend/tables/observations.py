@@ -26,7 +26,7 @@ from unbend.tables.refraction_mark import Direction, refuse_done
 from unbend.tables.row_sample import RowSample
 from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from unbend.tables.text_columns import refuse_other_pixels, require_columns
-from unbend.units import Array
+from unbend.units import Array, Mask
 
 _SCANNED_ROWS = 1 << 20  # read at a time for the names of images
 _SELECTED_ROWS = 1 << 18  # read at a time where some of them are selected
@@ -74,6 +74,17 @@ class Batch:
     def __len__(self) -> int:
         return len(self.image)
 
+    def number_of(self, row: int) -> int:
+        """The place in the table of a row of the batch."""
+        if self.numbers is not None:
+            return int(self.numbers[row])
+        return self.first_row + row
+
+    def without_image(self, rows: NDArray[np.int64]) -> Mask:
+        """(k,) Which of some rows (k,) have no name of an image: an empty or a blank cell."""
+        names = self.image.take(pa.array(rows)).to_pylist()
+        return np.array([not (name or "").strip() for name in names], np.bool_)
+
     def taken(self, rows: NDArray[np.int64]) -> "Batch":
         """Some of its rows, without the user's columns."""
         numbers = self.numbers
@@ -96,7 +107,8 @@ class Observations:
 
     ``user_fields`` are the columns that pass through, under the names they leave with; ``pixels``
     the system of the table's pixels, ``points`` give the heights where they do. A database of
-    keypoints has no points (``has_points``). Coordinates in millimetres have a ``frame``.
+    keypoints has no points (``has_points``). Coordinates in millimetres have a ``frame``. An empty
+    or blank cell is not among the ``images``.
     """
 
     path: Path
@@ -348,7 +360,7 @@ def open_observations(
         columns=named,
         ground_column=ground_column,
         rows=scan.rows,
-        images=tuple(sorted(name for name in scan.images if name is not None)),
+        images=tuple(sorted(name for name in scan.images if name and name.strip())),
         user_fields=tuple(user_fields),
         sigma_column=sigma_column,
         pixels=pixels,

@@ -885,11 +885,12 @@ ORIENTATION_TIES = Code(
 ORIENTATION_UNCHECKED = Code(
     "ORIENTATION-UNCHECKED",
     means=(
-        "Nothing checks the angles of a table of orientations: fewer than ten points are measured "
-        "in two images or more."
+        "Fewer than ten points are measured in two images or more. So nothing checks a table of "
+        "orientations, the heights, and the cameras."
     ),
     effect=(
-        "Angles of another sense, order or unit would give wrong corrections without a message."
+        "Wrong angles, heights of stations or ground, principal distances, and axes of the pixels "
+        "would give wrong corrections without a message."
     ),
     remedy=(
         "Give a point the same name in all images that show it; or compare a few points on the "
@@ -902,8 +903,16 @@ def orientation_unchecked(*, where: str, count: int, needed: int) -> Message:
     """Too few tie points to check orientations."""
     return warning(
         ORIENTATION_UNCHECKED,
-        "{count} points are measured in two images or more. {needed} are needed to check angles",
-        one="1 point is measured in two images or more. {needed} are needed to check angles",
+        (
+            "{count} points are measured in two images or more, {needed} are needed. Nothing "
+            "checks the angles, the heights of stations and ground, the principal distance, and "
+            "the axes of the pixels"
+        ),
+        one=(
+            "1 point is measured in two images or more, {needed} are needed. Nothing checks the "
+            "angles, the heights of stations and ground, the principal distance, and the axes of "
+            "the pixels"
+        ),
         where=where,
         count=count,
         needed=needed,

@@ -61,8 +61,10 @@ def statuses_explained(facts: Facts, ledger: Ledger) -> frozenset[str]:
 
 
 def cause_of_missing_stations(facts: Facts) -> str:
-    """How many stations have each status but ok, with the keys to look at."""
+    """How many stations have each status but ok, with the keys to look at; empty without any."""
     counts = Counter(facts.stations.status[~facts.stations.ok].tolist())
+    if not counts:
+        return ""
     listed = []
     for status, count in counts.items():
         keys = KEYS_OF_STATIONS.get(status, "log")

@@ -1,15 +1,15 @@
 """The findings of all rules go into the ledger, and what the mission file accepts is accepted."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from unbend.config.mission_file import AcceptedFinding
-from unbend.messages import Kind, Ledger
+from unbend.messages import Kind, Ledger, Message
 from unbend.stages.plausibility import messages
 from unbend.stages.plausibility.facts import Facts
-from unbend.stages.plausibility.rules import RULES
+from unbend.stages.plausibility.rules import RULES, are_sides_exchanged
 
 VERIFYING = ("TIES-RESIDUALS", "ORIENTATION-TIES")
 """Codes of the comparison with tie points, which compares an elevation model with them too."""
@@ -51,7 +51,8 @@ OF_TIES = OF_HEIGHTS | frozenset(
 def report_findings(facts: Facts, ledger: Ledger) -> None:
     """Add the findings of all rules to the ledger, and accept those that the mission file accepts.
 
-    What tie points find is held back where a finding of a rule may be its cause. Adds a warning
+    What tie points find is held back where a finding of a rule may be its cause, and so is what
+    follows from exchanged sides of images. Adds a warning
     (DEM-UNVERIFIED) if nothing in the mission could contradict its elevation model.
     """
     for rule in RULES:
@@ -60,7 +61,36 @@ def report_findings(facts: Facts, ledger: Ledger) -> None:
     if has_model and not is_verified(facts, ledger):
         ledger.add(messages.model_unverified(where="ground.height.dem"))
     accept_findings(facts.mission.accept, ledger)
+    exchanged = [name for name, camera in facts.cameras.items() if are_sides_exchanged(camera)]
+    hold_back_extents(exchanged, ledger)
     hold_back_ties(ledger)
+
+
+def hold_back_extents(exchanged: Sequence[str], ledger: Ledger) -> None:
+    """Take out of the ledger what follows from exchanged sides of the images of some cameras.
+
+    That are points outside the image, and rows that are flagged as such. A note (SIDES-HELD-BACK)
+    names what was taken out. An accepted finding of the principal point is no cause.
+    """
+    causes = set()
+    for entry in ledger:
+        if entry.kind is Kind.FINDING and entry.code == "PLAUSIBLE-PRINCIPAL-POINT":
+            causes.add(entry.values["name"])
+    cameras = [name for name in exchanged if name in causes]
+    if not cameras:
+        return
+
+    def follows(entry: Message) -> bool:
+        if entry.kind is not Kind.FINDING:
+            return False
+        if entry.code == "PLAUSIBLE-EXTENT":
+            return entry.values["name"] in cameras
+        return entry.code == "PLAUSIBLE-FLAGGED" and entry.values["name"] == "outside_camera"
+
+    held = ledger.remove(follows)
+    if held:
+        codes = [entry.code for entry in held]
+        ledger.add(messages.sides_held_back(codes=codes, cameras=cameras))
 
 
 def hold_back_ties(ledger: Ledger) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from unbend.errors import Code, MissionError
 from unbend.messages import Message, finding, note, warning
+from unbend.refraction.camera.camera import Camera
 
 PLAUSIBLE_GROUND = Code(
     "PLAUSIBLE-GROUND",
@@ -83,7 +84,10 @@ PLAUSIBLE_PRINCIPAL_POINT = Code(
     "PLAUSIBLE-PRINCIPAL-POINT",
     means="The principal point is more than a tenth of the image from its centre.",
     effect="The correction is kept. The run ends with exit code 3.",
-    remedy="Give pixels from the upper left corner, not an offset or millimetres.",
+    remedy=(
+        "Give pixels from the upper left corner, not an offset or millimetres. Check whether "
+        "width_px and height_px are exchanged."
+    ),
 )
 
 
@@ -103,6 +107,24 @@ def principal_point_off(
         cx_px=cx_px,
         cy_px=cy_px,
         percent=percent,
+    )
+
+
+def sides_exchanged(*, where: str, name: str, camera: Camera) -> Message:
+    """A principal point in the middle of an image whose sides are exchanged."""
+    return finding(
+        PLAUSIBLE_PRINCIPAL_POINT,
+        (
+            "the principal point of {name} is at {cx_px:g}, {cy_px:g} px, the middle of an image "
+            "of {height_px} x {width_px} px, and the stated image has {width_px} x {height_px} px: "
+            "width_px and height_px seem exchanged"
+        ),
+        where=where,
+        name=name,
+        cx_px=camera.cx_px,
+        cy_px=camera.cy_px,
+        width_px=camera.width_px,
+        height_px=camera.height_px,
     )
 
 
@@ -602,6 +624,35 @@ def ties_held_back(*, codes: Sequence[str], keys: Sequence[str], causes: Sequenc
         listed_keys=", ".join(dict.fromkeys(keys)),
         listed_codes=", ".join(dict.fromkeys(codes)),
         causes=", ".join(dict.fromkeys(causes)),
+    )
+
+
+SIDES_HELD_BACK = Code(
+    "SIDES-HELD-BACK",
+    means=(
+        "Width and height of an image seem exchanged. Findings that follow from that are not "
+        "listed: points outside the image, and rows that are flagged because of it."
+    ),
+    effect="No further effect: the cause makes the run end with exit code 3.",
+    remedy=(
+        "Exchange width_px and height_px, or accept the cause, and run again. Then the findings "
+        "that remain are listed."
+    ),
+)
+
+
+def sides_held_back(*, codes: Sequence[str], cameras: Sequence[str]) -> Message:
+    """Findings that follow from exchanged sides of the images of some cameras are not listed."""
+    return note(
+        SIDES_HELD_BACK,
+        (
+            "{listed_codes} may follow from exchanged sides of {listed_cameras}; when these are "
+            "corrected or accepted, the findings that remain are listed"
+        ),
+        where="cameras",
+        count=len(codes),
+        listed_codes=", ".join(dict.fromkeys(codes)),
+        listed_cameras=", ".join(cameras),
     )
 
 

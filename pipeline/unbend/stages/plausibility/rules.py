@@ -38,6 +38,7 @@ NARROWEST_FISHEYE_DEG = 60.0
 WIDEST_FISHEYE_DEG = 300.0
 LARGEST_PIXEL_RATIO = 0.02  # of the sides of a pixel, minus 1
 LARGEST_OFF_CENTRE = 0.1  # of a principal point, in sizes of the image
+NEAR_MIDDLE = 0.05  # the same, of a principal point that states where the middle is
 SMALLEST_DISTORTION = 1e-6  # at the corners of the image, as a share of the radius
 LARGEST_DISTORTION = 0.3  # the same, for views under 90 deg
 LARGEST_WIDE_DISTORTION = 1.0  # the same, for wider views
@@ -214,7 +215,13 @@ def principal_point(facts: Facts) -> Findings:
         off_x = abs(camera.cx_px / camera.width_px - 0.5)
         off_y = abs(camera.cy_px / camera.height_px - 0.5)
         off = max(off_x, off_y)
-        if off > LARGEST_OFF_CENTRE:
+        if off > LARGEST_OFF_CENTRE and are_sides_exchanged(camera):
+            yield messages.sides_exchanged(
+                where=facts.key_of(name, of_numbers="width_px", of_metric="format_mm"),
+                name=name,
+                camera=camera,
+            )
+        elif off > LARGEST_OFF_CENTRE:
             yield messages.principal_point_off(
                 where=facts.key_of(name, of_numbers="cx_px", of_metric="origin"),
                 name=name,
@@ -222,6 +229,14 @@ def principal_point(facts: Facts) -> Findings:
                 cy_px=camera.cy_px,
                 percent=100.0 * off,
             )
+
+
+def are_sides_exchanged(camera: Camera) -> bool:
+    """Whether the principal point is at the middle only of an image with exchanged sides."""
+    near_x = abs(camera.cx_px / camera.height_px - 0.5) < NEAR_MIDDLE
+    near_y = abs(camera.cy_px / camera.width_px - 0.5) < NEAR_MIDDLE
+    is_of_stated = abs(camera.cx_px / camera.width_px - 0.5) < NEAR_MIDDLE
+    return near_x and near_y and not is_of_stated
 
 
 def distortion(facts: Facts) -> Findings:

@@ -1,0 +1,87 @@
+"""The names of cameras, which several sections of a mission file have: they must agree."""
+
+import difflib
+from collections.abc import Collection, Mapping
+
+from unbend.config.event_sources import EventsSection
+from unbend.config.section import SectionError
+
+SECTION_OF_SOME = "events.csv.camera"
+"""The only section that need not have all cameras: the others have no exposures then."""
+
+
+def cameras_by_section(
+    mount: Collection[str], events: EventsSection | None
+) -> dict[str, frozenset[str]]:
+    """The names of cameras under each section that has such names, by the section's key."""
+    named = {"mount": frozenset(mount)}
+    if events is None:
+        return named
+    if events.log is not None:
+        named["events.log"] = frozenset(events.log)
+    if events.positions is not None:
+        named["events.positions"] = frozenset(events.positions)
+    if events.csv is not None and events.csv.camera is not None:
+        named[SECTION_OF_SOME] = frozenset({events.csv.camera})
+    return named
+
+
+def check_table_of_exposures(cameras: Collection[str], events: EventsSection | None) -> None:
+    """Refuse (SectionError) a table of exposures that does not say which of several cameras."""
+    if events is None or events.csv is None or len(cameras) < 2:
+        return
+    if events.csv.camera is None and events.csv.columns.camera is None:
+        raise SectionError(
+            "events.csv must state which camera: camera or columns.camera",
+            at=("events", "csv"),
+        )
+
+
+def check_camera_names(
+    cameras: Collection[str],
+    named: Mapping[str, frozenset[str]],
+) -> None:
+    """Refuse (SectionError) a name that is not under cameras, and a camera without an entry.
+
+    ``named`` are the names under each other section, by the section's key.
+    """
+    for section, names in named.items():
+        unknown = sorted(names.difference(cameras))
+        if unknown:
+            raise _unknown_camera(cameras, named, section, unknown[0])
+    for section, names in named.items():
+        without_entry = sorted(set(cameras) - names)
+        if without_entry and section != SECTION_OF_SOME:
+            name = without_entry[0]
+            raise SectionError(
+                f"camera {name!r} has no entry under {section}",
+                at=("cameras", name),
+            )
+
+
+def _unknown_camera(
+    cameras: Collection[str],
+    named: Mapping[str, frozenset[str]],
+    section: str,
+    name: str,
+) -> SectionError:
+    """What is wrong with a name in a section that is not under cameras.
+
+    The odd one out is wrong: where two sections agree on a name, that under cameras is.
+    """
+    lacking = sorted(set(cameras) - named[section])
+    candidates = lacking or sorted(cameras)
+    nearest = difflib.get_close_matches(name, candidates, n=1, cutoff=0.0)[0]
+    with_name = [other for other, names in named.items() if name in names]
+    has_nearest = any(nearest in names for names in named.values())
+    if len(with_name) > 1 and not has_nearest:
+        sections = " and ".join(with_name)
+        return SectionError(
+            f"cameras names camera {nearest!r}, but {sections} name camera {name!r}; perhaps "
+            f"{name!r} under cameras?",
+            at=("cameras", nearest),
+        )
+    return SectionError(
+        f"{section} names camera {name!r}; perhaps {nearest!r}?",
+        at=(*section.split("."), name),
+    )
