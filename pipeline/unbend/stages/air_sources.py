@@ -30,6 +30,7 @@ from unbend.messages import Ledger
 from unbend.stages import messages
 from unbend.stages.flight_date import flight_date_ns, flight_hour, refuse_dated_sources
 from unbend.stages.flight_log import FlightLog, GroundTrack
+from unbend.stages.neighbour_zone import system_of_stations, zone_findings
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.model_fields import FlightArea
 from unbend.units import (
@@ -387,6 +388,8 @@ def read_air_sources(
     if flight_ns is None and section.adjust:
         refuse_dated_sources(soundings, section)
     middle = TimeAndPlace(flight_ns, latitude, longitude)
+    key_of_system, crs = system_of_stations(mission, inputs)
+    ledger.extend(zone_findings(crs, key_of_system, soundings, middle, ledger))
     model = read_model_air(mission, inputs, flight, stations, samples, middle=middle, ledger=ledger)
     if model is not None:
         soundings.append(model.column)
