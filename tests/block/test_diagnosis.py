@@ -205,11 +205,21 @@ def test_the_search_for_an_amount_does_not_stop_short_of_it(best, points):
     """A likelihood that is steep far from its top shows there a sigma that is far too small."""
 
     def reading_by(amount):
-        intersection = SimpleNamespace(log_likelihood=-2e5 * abs(amount - best) ** 1.5)
+        away = abs(amount - best)
+        intersection = SimpleNamespace(log_likelihood=-2e5 * away**1.5)
         return SimpleNamespace(intersected=lambda mission, points: intersection)
 
-    start = 0.0 if points is not None else best + 0.002
-    hypothesis = PossibleMistake("TIES-FOCAL", "", ("nadir",), reading_by, start, step=0.005)
+    start = 0.0
+    if points is None:
+        start = best + 0.002
+    hypothesis = PossibleMistake(
+        code="TIES-FOCAL",
+        label="",
+        cameras=("nadir",),
+        reading_by=reading_by,
+        amount=start,
+        step=0.005,
+    )
     found, sigma = refined(None, hypothesis, points)
     assert found.amount == pytest.approx(best, abs=1e-3)
     assert 0.0 < sigma < 0.005
@@ -477,7 +487,7 @@ def test_what_tie_points_hardly_tell_apart_is_named_together():
     wrong = with_cameras(mission, camera0=with_f(CAMERAS["camera0"], 1.03))
     (finding,) = findings_of(wrong)
     of_camera, of_height = sorted((finding.what, *finding.also))
-    assert of_camera.startswith("the principal distance of camera0 is 100")
+    assert of_camera.startswith("the principal distance of camera0 is about 100")
     assert "too low above the given heights of the ground" in of_height
 
 
