@@ -17,9 +17,9 @@ import pytest
 from tests.block.simulated_block import simulate_block, unit
 from tests.draws import SEED
 from unbend.block.calibration_mistakes import OffsetAxes, with_other_axes
-from unbend.block.diagnosis import diagnosis, finding_of
+from unbend.block.diagnosis import diagnosis, finding_of, refined
 from unbend.block.image_rays import ImageRays, straightened
-from unbend.block.possible_mistakes import StatedMission
+from unbend.block.possible_mistakes import PossibleMistake, StatedMission
 from unbend.flight.mount import Mount
 from unbend.refraction.angle import one_angle
 from unbend.refraction.camera.brown_conrady import BrownConrady
@@ -195,8 +195,45 @@ def test_a_mount_with_the_other_sign_is_named_with_its_angle():
 def test_a_wrong_principal_distance_is_estimated(factor):
     wrong = with_cameras(make(22), camera0=with_f(CAMERAS["camera0"], factor))
     finding = first_finding(wrong, "TIES-FOCAL", "cameras.camera0")
-    assert estimate_in(finding, r" is ([\d.]+) px") == pytest.approx(F_PX, rel=0.005)
+    assert estimate_in(finding, r" is about ([\d.]+) px") == pytest.approx(F_PX, rel=0.005)
     assert ("millimetres" in finding.what) == (factor < 0.1)
+
+
+@pytest.mark.parametrize("best", [-0.0488, 0.12])
+@pytest.mark.parametrize("points", [None, np.arange(3)])
+def test_the_search_for_an_amount_does_not_stop_short_of_it(best, points):
+    """A likelihood that is steep far from its top shows there a sigma that is far too small."""
+
+    def reading_by(amount):
+        away = abs(amount - best)
+        intersection = SimpleNamespace(log_likelihood=-2e5 * away**1.5)
+        return SimpleNamespace(intersected=lambda mission, points: intersection)
+
+    start = 0.0
+    if points is None:
+        start = best + 0.002
+    hypothesis = PossibleMistake(
+        code="TIES-FOCAL",
+        label="",
+        cameras=("nadir",),
+        reading_by=reading_by,
+        amount=start,
+        step=0.005,
+    )
+    found, sigma = refined(None, hypothesis, points)
+    assert found.amount == pytest.approx(best, abs=1e-3)
+    assert 0.0 < sigma < 0.005
+
+
+@pytest.mark.parametrize("name", BOTH)
+@pytest.mark.parametrize("factor", drawn(0.95, 1.05, 1.1))
+def test_a_principal_distance_of_one_camera_accuses_no_other(name, factor):
+    """Farther off than a first step reaches, and nearer than the large mistakes begin."""
+    wrong = with_cameras(make(22), **{name: with_f(CAMERAS[name], factor)})
+    finding = only_finding(wrong, "TIES-FOCAL", f"cameras.{name}")
+    assert f"the principal distance of {name} is about " in finding.what
+    assert finding.what.endswith(f"0 px, not {factor * F_PX:g}")
+    assert estimate_in(finding, r" is about ([\d.]+) px") == pytest.approx(F_PX, rel=0.002)
 
 
 @pytest.mark.parametrize(
@@ -361,7 +398,7 @@ def test_a_principal_distance_that_is_wrong_in_all_cameras():
     longer["without an image"] = CAMERAS["camera0"]
     wrong = with_cameras(make(3), **longer)
     finding = only_finding(wrong, "TIES-FOCAL", "cameras")
-    estimates = re.search(r"of camera0 and camera1 is (\d+) and (\d+) px", finding.what)
+    estimates = re.search(r"of camera0 and camera1 is about (\d+) and (\d+) px", finding.what)
     f_px = [float(estimate) for estimate in estimates.groups()]
     assert f_px == pytest.approx([F_PX] * 2, rel=2e-3)
     assert finding.what.endswith("not 10300 and 10300")
@@ -450,7 +487,7 @@ def test_what_tie_points_hardly_tell_apart_is_named_together():
     wrong = with_cameras(mission, camera0=with_f(CAMERAS["camera0"], 1.03))
     (finding,) = findings_of(wrong)
     of_camera, of_height = sorted((finding.what, *finding.also))
-    assert of_camera.startswith("the principal distance of camera0 is 100")
+    assert of_camera.startswith("the principal distance of camera0 is about 100")
     assert "too low above the given heights of the ground" in of_height
 
 

@@ -141,6 +141,12 @@ def test_a_frame_that_nothing_confirms_says_so():
     (note,) = messages(BLOCK, nothing)
     assert note.code == "FRAME-UNVERIFIED"
     assert "are within 968 m, 853 to 853 m" in note.what
+    latitude_deg, longitude_deg = np.degrees(geodetic(BLOCK).mean(axis=0)[:2])
+    middle = f"at latitude {latitude_deg:.2f}, longitude {longitude_deg:.2f}"
+    assert f"above sea level, {middle}; compare" in note.what
+    stations = stations_at(BLOCK)
+    (named,) = frame_notes(stations, [], must_be_tested=True, where="x", system="UTM zone 33N")
+    assert f"{middle} by UTM zone 33N" in named.what
     assert "stations.orientation.known_positions: {path: positions.csv}" in note.what
     assert not messages(BLOCK, nothing, must_be_tested=False)
     few = np.where(np.arange(24)[:, None] < 3, noisy(7), np.nan)

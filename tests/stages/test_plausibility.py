@@ -24,9 +24,15 @@ from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.refraction.effect import Effect
 from unbend.stages.multi_image.messages import ties_contradict
-from unbend.stages.plausibility.causes import cause_of_outside
+from unbend.stages.plausibility.causes import cause_of_outside, statuses_explained
 from unbend.stages.plausibility.facts import Facts
-from unbend.stages.plausibility.findings import hold_back_extents, hold_back_ties
+from unbend.stages.plausibility.findings import (
+    hold_back_extents,
+    hold_back_ties,
+    known_causes,
+    settle_findings,
+)
+from unbend.stages.plausibility.messages import many_flagged
 from unbend.stages.plausibility.rules import (
     RULES,
     air_of_flight,
@@ -610,6 +616,106 @@ def test_nothing_is_held_back_without_exchanged_sides_or_if_they_are_accepted(ex
     ledger = ledger_of_exchanged(kind)
     hold_back_extents(exchanged, ledger)
     assert len(ledger) == 7
+
+
+OF_RAYS = ("misses_ground", "beyond_grazing", "far_branch")
+
+
+@pytest.mark.parametrize(
+    ("codes", "accepted", "known"),
+    [
+        (["TIES-TIME"], [], dict.fromkeys(OF_RAYS, "TIES-TIME")),
+        (["TIES-TIME"], ["TIES-TIME"], {}),
+        (["TIES-TIME", "PLAUSIBLE-VIEW"], [], {}),  # held back
+        (["TIES-HEIGHT", "PLAUSIBLE-GROUND"], [], {}),
+        (["TIES-RESIDUALS"], [], {}),  # decides nothing
+        (["PLAUSIBLE-EXTENT"], [], {"outside_camera": "PLAUSIBLE-EXTENT"}),
+        (["PLAUSIBLE-SENSORS", "STATIONS-HEIGHT"], [], {"no_station": "PLAUSIBLE-SENSORS"}),
+        (["PLAUSIBLE-SENSORS"], [], {}),
+    ],
+)
+def test_a_finding_is_the_cause_of_flagged_rows_while_it_stands(codes, accepted, known):
+    facts = SimpleNamespace(
+        mission=SimpleNamespace(accept=[SimpleNamespace(code=code) for code in accepted]),
+        stations=SimpleNamespace(ok=np.array([False]), status=np.array(["suspect"])),
+    )
+    assert known_causes(facts, ledger_of(dict.fromkeys(codes, Kind.FINDING))) == known
+
+
+def test_many_flagged_rows_of_a_known_cause_are_no_other_finding():
+    ledger = ledger_of({"PLAUSIBLE-EXTENT": Kind.FINDING})
+    for status in ("outside_camera", "no_ground"):
+        text = {"where": "observations", "percent": 36.0, "most": 20.0, "cause": "..."}
+        ledger.add(many_flagged(name=status, **text))
+    known = {"outside_camera": "PLAUSIBLE-EXTENT", "misses_ground": "TIES-TIME"}
+
+    settle_findings([], known, [], ledger)
+
+    left = with_code(ledger, "PLAUSIBLE-FLAGGED")
+    assert [entry.values["name"] for entry in left] == ["no_ground"]
+    facts = SimpleNamespace(
+        stations=SimpleNamespace(ok=np.array([True]), status=np.array(["ok"])),
+    )
+    # Rays that miss the ground stay a loss, which names the finding.
+    assert statuses_explained(facts, ledger, known) == {"outside_camera"}
+
+
+def test_x_and_y_exchanged_are_one_mistake(mission):
+    """Rows outside the image follow from it."""
+    table = mission.measurements().to_pandas()
+    table["x_px"], table["y_px"] = table["y_px"].copy(), table["x_px"].copy()
+    table.to_parquet(mission.folder / "observations.parquet", index=False)
+
+    ledger = check_mission(mission.save()).corrected.prepared.ledger
+
+    of_kind = {entry.code for entry in ledger if entry.kind in (Kind.FINDING, Kind.LOSS)}
+    assert of_kind == {"PLAUSIBLE-EXTENT"}
+
+
+def exchange(mission, quantity):
+    """Exchange the channels outside and in the cabin in the mission file."""
+    channels = mission.config["log"]["channels"]
+    outside = channels[quantity]
+    channels[quantity] = channels[f"cabin_{quantity}"]
+    channels[f"cabin_{quantity}"] = outside
+
+
+@pytest.mark.parametrize(
+    ("quantities", "loss"),
+    [
+        (["temperature"], "AIR-THERMOMETER"),
+        (["pressure"], "AIR-NOT-OUTSIDE"),
+        (["pressure", "temperature"], "AIR-NOT-OUTSIDE"),
+    ],
+)
+def test_sensors_of_the_cabin_that_are_named_as_outside(mission, quantities, loss):
+    for quantity in quantities:
+        exchange(mission, quantity)
+
+    ledger = check_mission(mission.save()).corrected.prepared.ledger
+
+    assert with_code(ledger, loss)
+    said = [entry.what for entry in with_code(ledger, "PLAUSIBLE-SENSORS")]
+    assert len(said) == len(quantities)
+    for quantity, what in zip(quantities, said, strict=True):
+        assert re.match(
+            rf"log\.channels\.{quantity} \(\w+\[1\]\) and log\.channels\.cabin_{quantity} ", what
+        )
+    assert not with_code(ledger, "PLAUSIBLE-FLAGGED")
+
+
+def test_thermometers_that_are_both_in_the_cabin_are_not_exchanged(mission):
+    exchange(mission, "temperature")
+    read = read_folder(mission)
+    channels = {channel.name: channel for channel in read.inputs.log.channels}
+    outside = channels["HYGR[0]"]
+    cabin_k = channels["HYGR[1]"]["temperature_k"][: len(outside)]
+    in_cabin = replace(outside, columns={**outside.columns, "temperature_k": cabin_k})
+
+    prepared = prepare_mission(read.mission, with_channels(read.inputs, in_cabin), Ledger())
+
+    assert with_code(prepared.ledger, "AIR-THERMOMETER")
+    assert not with_code(prepared.ledger, "PLAUSIBLE-SENSORS")
 
 
 def test_an_image_that_the_log_does_not_know_is_one_loss(mission):

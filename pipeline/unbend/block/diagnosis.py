@@ -40,7 +40,8 @@ MISTAKEN_AT = 0.3  # within which of 1 a calibration is the mistaken one, and no
 
 MOUNT_REFINEMENTS = 3
 LARGEST_REFINEMENT_RAD = np.radians(5.0)  # of a mistake that is still that one
-RANKING_REFINEMENTS = 4  # of an amount by some points; by all points one is enough then
+MAX_RANKING_STEPS = 12  # of an amount by some points: 15 % of a principal distance, and settled
+MAX_STEPS = 3  # by all points, from there
 LARGEST_STEPS = 3.0  # that an amount changes by at once
 SMALLEST_STEP = 0.1  # of the step before
 SETTLED = 0.05  # of its sigma: an amount that changes by less is the most likely one
@@ -282,10 +283,10 @@ def refined_amount(
     amount = hypothesis.amount
     step = hypothesis.step
     sigma = np.inf
-    refinements = 0
-    if step:
-        refinements = 1 if points is None else RANKING_REFINEMENTS
-    for _ in range(refinements):
+    most_steps = MAX_STEPS if points is None else MAX_RANKING_STEPS
+    if not step:
+        most_steps = 0
+    for _ in range(most_steps):
         likelihoods = []
         for tried in (amount - step, amount, amount + step):
             intersection = hypothesis.reading_by(tried).intersected(mission, points)
@@ -299,6 +300,8 @@ def refined_amount(
         sigma = step / float(np.sqrt(-curve))
         change = float(np.clip(0.5 * step * (low - high) / curve, -farthest, farthest))
         amount += change
+        if abs(change) > step:  # the top is beyond what was tried: a shorter step ends before it
+            continue
         step = min(max(sigma, SMALLEST_STEP * step), step)
         if abs(change) < SETTLED * sigma:
             break

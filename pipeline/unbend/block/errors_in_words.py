@@ -6,6 +6,7 @@ nobody.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -28,6 +29,10 @@ SMALLEST_FOCAL = 0.01  # as a share
 SMALLEST_HEIGHT = 0.01  # as a share of the flying height
 SMALLEST_TIME_S = 0.1
 SMALLEST_DISTORTION = 0.0015  # as a share, in the corners of the image
+
+# As a share: principal points, distortions and mounts that are a little off as well move an
+# estimated principal distance by more than the sigma of its likelihood, which holds them.
+CERTAIN_FOCAL = 0.005
 
 SLOWEST_M_S = 0.1  # of stations: hovering gives a time no sigma without end
 SAME_HEIGHT = 0.05  # of a height: a named one that is nearer is the likely one
@@ -102,12 +107,25 @@ def focal_in_words(
     change = np.abs(np.log(estimated_px / stated_px)).max()
     if not change > max(SMALLEST_FOCAL, explained):
         return ""
+    certain_share = max(CERTAIN_FOCAL, sigma)
+    rounded_px = [rounded(f_px, certain_share * f_px) for f_px in estimated_px]
     text = (
-        f"the principal distance of {' and '.join(hypothesis.cameras)} is "
-        f"{listed(estimated_px, '.0f')} px +- {estimated_px[0] * sigma:.2g}, "
-        f"not {listed(stated_px, 'g')}"
+        f"the principal distance of {' and '.join(hypothesis.cameras)} is about "
+        f"{listed(rounded_px, '.0f')} px, not {listed(stated_px, 'g')}"
     )
     return f"{text}: it is {hypothesis.label}" if hypothesis.label else text
+
+
+def rounded(value: float, uncertainty: float) -> float:
+    """A number to the largest power of ten within its uncertainty.
+
+    >>> rounded(20063.2, 100.3)
+    20100.0
+    >>> rounded(3657.9, 18.3)
+    3660.0
+    """
+    decimals = -math.floor(math.log10(uncertainty))
+    return round(float(value), decimals)
 
 
 def distortion_in_words(mission: StatedMission, hypothesis: PossibleMistake, sigma: float) -> str:

@@ -285,12 +285,13 @@ def frame_notes(
     *,
     must_be_tested: bool,
     where: str,
+    system: str = "",
 ) -> Notes:
     """What known positions, by their sources, say of the frame of a block's stations.
 
     A finding (FRAME-PLACES) where they contradict it, else a note (FRAME-CONFIRMED). Of a frame
     that ``must_be_tested`` by something a warning (FRAME-UNVERIFIED), where no source has positions
-    of four images or more.
+    of four images or more; it names the coordinate ``system``, if there is one.
     """
     made: list[Message] = []
     is_tested = False
@@ -322,14 +323,11 @@ def frame_notes(
             )
         is_tested = is_tested or bool(contradictions) or np.isfinite(comparison.turn_rad)
     if must_be_tested and not is_tested:
-        made.append(unverified(stations, where))
+        made.append(unverified(stations, where, system))
     return tuple(made)
 
 
-def unverified(
-    stations: Stations,
-    where: str,
-) -> Message:
+def unverified(stations: Stations, where: str, system: str) -> Message:
     """The warning that nothing confirms a frame, with what can be seen of it."""
     ok = stations.ok
     position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)[ok]
@@ -343,4 +341,7 @@ def unverified(
         extent=extent,
         low=float(np.min(stations.h_msl_m[ok], initial=np.inf)),
         high=float(np.max(stations.h_msl_m[ok], initial=-np.inf)),
+        latitude_deg=float(np.degrees(stations.mean_latitude_rad)),
+        longitude_deg=float(np.degrees(stations.median_longitude_rad)),
+        system=system,
     )

@@ -260,14 +260,14 @@ FRAME_UNVERIFIED = Code(
     "FRAME-UNVERIFIED",
     means="Nothing in the files of the mission can confirm the frame of the block.",
     effect=(
-        "None. If the model has no scale, is in feet, is tilted, turned or of another datum, no "
-        "check reports it, and every number of the run is wrong."
+        "None. If the model has no scale, is in feet, is tilted, turned, of another datum or "
+        "another zone, no check reports it, and every number of the run is wrong."
     ),
     remedy=(
-        "Compare extent and heights with the flight. Write stations.orientation.known_positions: "
-        "{path: positions.csv}, a table of the columns image, latitude, longitude and height. The "
-        "section events.images with positions in EXIF, the section control, and a database with "
-        "pose priors confirm the frame too."
+        "Compare place, extent and heights with the flight. Write "
+        "stations.orientation.known_positions: {path: positions.csv}, a table of the columns "
+        "image, latitude, longitude and height. The section events.images with positions in EXIF, "
+        "the section control, and a database with pose priors confirm the frame too."
     ),
 )
 
@@ -280,24 +280,44 @@ _WAYS_TO_CONFIRM = (
 SMALL_BLOCK_M = 10.0  # of a smaller one decimals are shown: it is a model without scale
 
 
-def frame_unverified(*, where: str, count: int, extent: float, low: float, high: float) -> Message:
-    """Nothing confirms the frame of a block."""
+def frame_unverified(
+    *,
+    where: str,
+    count: int,
+    extent: float,
+    low: float,
+    high: float,
+    latitude_deg: float,
+    longitude_deg: float,
+    system: str,
+) -> Message:
+    """Nothing confirms the frame of a block; ``system`` names its coordinate system, if it has one.
+
+    The latitude and longitude are those of the middle of its images.
+    """
+    place = "at latitude {latitude_deg:.2f}, longitude {longitude_deg:.2f}"
+    if system:
+        place += " by {system}"
     return warning(
         FRAME_UNVERIFIED,
         (
             "nothing in this mission can verify the frame of the block: no file has positions of "
             "four images or more; a model without scale, in feet, tilted, turned or of another "
             "datum would look the same: the {count} images are within {extent} m, {low:.0f} to "
-            "{high:.0f} m above sea level; compare this with the flight. " + _WAYS_TO_CONFIRM
+            f"{{high:.0f}} m above sea level, {place}; compare this with the flight. "
+            + _WAYS_TO_CONFIRM
         ),
         one=(
             "nothing in this mission can verify the frame of the block of 1 image: no file has "
-            "positions; the image is {high:.0f} m above sea level; compare this with the flight. "
-            + _WAYS_TO_CONFIRM
+            f"positions; the image is {{high:.0f}} m above sea level, {place}; compare this with "
+            "the flight. " + _WAYS_TO_CONFIRM
         ),
         where=where,
         count=count,
         extent=f"{extent:,.0f}" if extent >= SMALL_BLOCK_M else f"{extent:.2g}",
         low=low,
         high=high,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        system=system,
     )

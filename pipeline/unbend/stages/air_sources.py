@@ -35,6 +35,7 @@ from unbend.stages.flight_date import (
     refuse_dated_sources,
 )
 from unbend.stages.flight_log import FlightLog, GroundTrack
+from unbend.stages.neighbour_zone import system_of_stations, zone_findings
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.model_fields import FlightArea
 from unbend.units import (
@@ -395,6 +396,8 @@ def read_air_sources(
         refuse_dated_sources(soundings, section)
     doubt = doubt_of_date(mission, stations, soundings)
     middle = TimeAndPlace(flight_ns, latitude, longitude, doubt)
+    key_of_system, crs = system_of_stations(mission, inputs)
+    ledger.extend(zone_findings(crs, key_of_system, soundings, middle, ledger))
     model = read_model_air(mission, inputs, flight, stations, samples, middle=middle, ledger=ledger)
     if model is not None:
         soundings.append(model.column)

@@ -426,6 +426,75 @@ def air_sources_unused(*, where: str, soundings: int, surface: int, calibrations
     )
 
 
+PLAUSIBLE_SENSORS = Code(
+    "PLAUSIBLE-SENSORS",
+    means=(
+        "The sensor that is stated as outside is not outside, and the one that is stated as the "
+        "cabin's measures what the air outside has. They seem exchanged under log.channels."
+    ),
+    effect="The air is estimated without the sensor stated as outside. The run ends with 3.",
+    remedy="Exchange the two channels under log.channels, or accept the finding.",
+)
+
+
+def sensors_exchanged(*, where: str, quantity: str, outside: str, cabin: str) -> Message:
+    """The sensors of a quantity outside and in the cabin seem exchanged."""
+    return finding(
+        PLAUSIBLE_SENSORS,
+        (
+            "log.channels.{quantity} ({outside}) and log.channels.cabin_{quantity} ({cabin}) seem "
+            "exchanged: the {quantity} of {cabin} changes with height as that of the air outside, "
+            "the {quantity} of {outside} does not"
+        ),
+        where=where,
+        quantity=quantity,
+        outside=outside,
+        cabin=cabin,
+    )
+
+
+PLAUSIBLE_ZONE = Code(
+    "PLAUSIBLE-ZONE",
+    means=(
+        "All soundings are far from the stations. With the same x and y in the neighbouring UTM "
+        "zone, the stations would be near a sounding."
+    ),
+    effect="The stations are in the stated zone. The run ends with exit code 3.",
+    remedy="Correct the coordinate system. If the zone is right, accept the finding.",
+)
+
+
+def neighbouring_zone(
+    *,
+    where: str,
+    zone: str,
+    neighbour: str,
+    latitude_deg: float,
+    longitude_deg: float,
+    away_km: float,
+    neighbour_deg: float,
+    neighbour_km: float,
+) -> Message:
+    """Soundings are far from the stations, and near them in the neighbouring zone."""
+    return finding(
+        PLAUSIBLE_ZONE,
+        (
+            "the stations are at latitude {latitude_deg:.2f}, longitude {longitude_deg:.2f} by UTM "
+            "zone {zone}, {away_km:.0f} km from the nearest sounding; by zone {neighbour} they "
+            "would be at longitude {neighbour_deg:.2f}, {neighbour_km:.0f} km from it: likely the "
+            "coordinate system of another zone"
+        ),
+        where=where,
+        zone=zone,
+        neighbour=neighbour,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        away_km=away_km,
+        neighbour_deg=neighbour_deg,
+        neighbour_km=neighbour_km,
+    )
+
+
 def flight_without_time(*, where: str) -> InputError:
     """No station has a time and a place to take a weather model at."""
     return InputError(

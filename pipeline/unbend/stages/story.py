@@ -18,6 +18,7 @@ from unbend.stages.air_of_mission import adjusted_profiles
 from unbend.stages.air_sources import AirSources, read_air_sources
 from unbend.stages.cabin_air import with_cabin_air
 from unbend.stages.correction_setup import CorrectionSetup
+from unbend.stages.exchanged_sensors import exchanged_sensors
 from unbend.stages.exposure_setup import correction_setup
 from unbend.stages.flight_log import FlightLog, flight_log
 from unbend.stages.ground_heights import elevation_of_mission, with_terrain
@@ -31,7 +32,12 @@ from unbend.stages.multi_image.point_heights import (
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.stages.plausibility.causes import causes_of_statuses, statuses_explained
 from unbend.stages.plausibility.facts import Facts
-from unbend.stages.plausibility.findings import report_findings
+from unbend.stages.plausibility.findings import (
+    cameras_of_exchanged_sides,
+    known_causes,
+    report_findings,
+    settle_findings,
+)
 from unbend.stages.results import results_of_mission
 from unbend.stages.stations import stations_of_mission
 from unbend.stages.statistics import Statistics
@@ -122,6 +128,7 @@ def prepare_mission(
         mission, inputs, flight=flight, stations=stations, samples=samples, ledger=ledger
     )
     air = adjusted_profiles(mission, stations, samples, sources, ledger)
+    ledger.extend(exchanged_sensors(mission, flight, stations, sources, ledger))
     if air.adjustment.is_measured:
         errors = air.adjustment.barometer_errors
         use_suspect = mission.stations.use_suspect
@@ -182,9 +189,12 @@ def correct_mission(
 
     # What is to be said of the results.
     facts = facts_of(prepared, stations, setup, statistics)
-    causes = causes_of_statuses(facts)
-    statistics.report_flagged(ledger, causes, explained=statuses_explained(facts, ledger))
     report_findings(facts, ledger)
+    known = known_causes(facts, ledger)
+    causes = causes_of_statuses(facts, known)
+    explained = statuses_explained(facts, ledger, known)
+    statistics.report_flagged(ledger, causes, explained=explained)
+    settle_findings(mission.accept, known, cameras_of_exchanged_sides(facts), ledger)
     air = replace(air, effects=facts.effects)
     results = results_of_mission(
         mission,

@@ -19,7 +19,7 @@ from unbend.stages.flight_log import FlightLog
 from unbend.stages.messages import no_events
 from unbend.stages.multi_image import messages
 from unbend.stages.opened_inputs import BlockPoints, OpenedInputs
-from unbend.tables.geodata.coordinate_systems import kind_of_system, places_of
+from unbend.tables.geodata.coordinate_systems import kind_of_system, name_of_system, places_of
 from unbend.tables.geodata.geocentric_datums import GeocentricDatum, frame_of_datum
 from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.exif import ImageTimes
@@ -254,7 +254,13 @@ def check_frame(
         places = KnownPlaces("positions of the log at the exposures", image, position)
         known_places.append((places.source, places.rows_of(stations.image)))
     needs_test = section.frame not in ("geographic", "unknown") and not has_control
-    return frame_notes(stations, known_places, must_be_tested=needs_test, where=section.path)
+    return frame_notes(
+        stations,
+        known_places,
+        must_be_tested=needs_test,
+        where=section.path,
+        system="" if section.crs is None else name_of_system(section.crs),
+    )
 
 
 def places_of_block(

@@ -1,6 +1,8 @@
 """Likely causes of the statuses that flag observations, with the keys to look at."""
 
 from collections import Counter
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,11 +22,17 @@ KEYS_OF_STATIONS = {
 }
 """Keys to look at by the status of stations; the log's for others."""
 
+MOUNT = "angles of mount"
+NOTHING_KNOWN: Mapping[str, str] = MappingProxyType({})
+SAME_ROWS = ("PLAUSIBLE-EXTENT", "PLAUSIBLE-SENSORS")
+"""Codes of findings of which all rows of a status follow: they are one message then, not two."""
 
-def causes_of_statuses(facts: Facts) -> dict[str, str]:
+
+def causes_of_statuses(facts: Facts, known: Mapping[str, str] = NOTHING_KNOWN) -> dict[str, str]:
     """A likely cause of each status that flags rows, with the keys to look at.
 
     Two statuses, whose causes have to be computed, have an entry only if a sampled row has them.
+    ``known`` : by status the code of a finding that is probably its cause, instead of the keys.
     """
     columns = facts.mission.observations.columns
     height = "no height is known"
@@ -37,27 +45,41 @@ def causes_of_statuses(facts: Facts) -> dict[str, str]:
             f"{columns.x_px} or {columns.y_px} is empty or not a number (observations.columns)"
         ),
         "outside_profile": "their rays leave the profile of the air (ground.height)",
-        "beyond_grazing": "their rays graze the ground (angles of mount)",
+        "beyond_grazing": f"their rays graze the ground ({hint('beyond_grazing', MOUNT, known)})",
     }
     if bool((facts.rows.status == MISSES_GROUND).any()):
-        causes["misses_ground"] = cause_of_misses(facts)
+        keys = f"{MOUNT}, f_px of the camera"
+        causes["misses_ground"] = cause_of_misses(facts, hint("misses_ground", keys, known))
     outside = facts.rows.status == OUTSIDE_CAMERA
     if bool(outside.any()):
         causes["outside_camera"] = cause_of_outside(facts, outside)
     return causes
 
 
-def statuses_explained(facts: Facts, ledger: Ledger) -> frozenset[str]:
-    """Statuses of rows that follow from losses which the ledger has already.
+def hint(status: str, keys: str, known: Mapping[str, str]) -> str:
+    """What to look at for a status: the finding that is its known cause, else the keys."""
+    if status in known:
+        return f"probably because of {known[status]}"
+    return keys
+
+
+def statuses_explained(
+    facts: Facts, ledger: Ledger, known: Mapping[str, str] = NOTHING_KNOWN
+) -> frozenset[str]:
+    """Statuses of rows that follow from losses or findings which the ledger has already.
 
     Rows without a station do, if there is a loss for each reason why images have no station. They
-    are one loss then, not two.
+    are one loss then, not two. So do those whose ``known`` cause is a finding about the very same
+    rows, as that of pixels outside the image.
     """
+    by_findings = {status for status, code in known.items() if code in SAME_ROWS}
     needed = set()
     for status in facts.stations.status[~facts.stations.ok]:
         needed.add("IMAGES-UNMATCHED" if status == UNMATCHED else "STATIONS-FLAGGED")
     losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
-    return frozenset({"no_station"}) if needed and needed <= losses else frozenset()
+    if needed and needed <= losses:
+        by_findings.add("no_station")
+    return frozenset(by_findings)
 
 
 def cause_of_missing_stations(facts: Facts) -> str:
@@ -72,8 +94,11 @@ def cause_of_missing_stations(facts: Facts) -> str:
     return f"their stations: {', '.join(listed)}"
 
 
-def cause_of_misses(facts: Facts) -> str:
-    """Why rays miss the ground: the ground lies above the camera, or rays pass the horizon."""
+def cause_of_misses(facts: Facts, of_rays: str) -> str:
+    """Why rays miss the ground: the ground lies above the camera, or rays pass the horizon.
+
+    ``of_rays`` : what to look at in the second case.
+    """
     rows = facts.rows.status == MISSES_GROUND
     ground_above_camera_m = (facts.rows.h_g_m - facts.camera_height_m)[rows]
     nadir_angle_rad = facts.nadir_angle_rad[rows]
@@ -91,8 +116,7 @@ def cause_of_misses(facts: Facts) -> str:
         dip_of_horizon_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)
         beyond_deg = np.degrees(nadir_angle_rad[ground_is_below] + dip_of_horizon_rad) - 90.0
         causes.append(
-            f"rays point up to {np.nanmax(beyond_deg):.1f} deg above the horizon (angles of mount, "
-            "f_px of the camera)"
+            f"rays point up to {np.nanmax(beyond_deg):.1f} deg above the horizon ({of_rays})"
         )
     return "; ".join(causes)
 

@@ -1,7 +1,7 @@
 """The findings of all rules go into the ledger, and what the mission file accepts is accepted."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -48,21 +48,82 @@ OF_TIES = OF_HEIGHTS | frozenset(
 """Codes of what the comparison with tie points finds."""
 
 
-def report_findings(facts: Facts, ledger: Ledger) -> None:
-    """Add the findings of all rules to the ledger, and accept those that the mission file accepts.
+UNDECIDED_TIES = frozenset({"TIES-RESIDUALS", "ORIENTATION-TIES"})
+"""Codes of comparisons with tie points in which no single mistake explains how rays miss."""
 
-    What tie points find is held back where a finding of a rule may be its cause, and so is what
-    follows from exchanged sides of images. Adds a warning
-    (DEM-UNVERIFIED) if nothing in the mission could contradict its elevation model.
+OF_RAYS = ("misses_ground", "beyond_grazing", "far_branch")
+"""Statuses of rows whose rays have a wrong direction or place."""
+
+
+def report_findings(facts: Facts, ledger: Ledger) -> None:
+    """Add the findings of all rules to the ledger.
+
+    Adds a warning (DEM-UNVERIFIED) if nothing in the mission could contradict its elevation model.
     """
     for rule in RULES:
         ledger.extend(rule(facts))
     has_model = facts.mission.ground.model is not None
     if has_model and not is_verified(facts, ledger):
         ledger.add(messages.model_unverified(where="ground.height.dem"))
-    accept_findings(facts.mission.accept, ledger)
-    exchanged = [name for name, camera in facts.cameras.items() if are_sides_exchanged(camera)]
+
+
+def known_causes(facts: Facts, ledger: Ledger) -> dict[str, str]:
+    """By status of rows the code of a finding that is probably its cause.
+
+    Findings that the mission file accepts are no causes, nor are those of tie points that are held
+    back (`hold_back_ties`).
+    """
+    codes = {entry.code for entry in ledger if entry.kind is Kind.FINDING}
+    codes -= {accepted.code for accepted in facts.mission.accept}
+    known = {}
+    if "PLAUSIBLE-EXTENT" in codes:
+        known["outside_camera"] = "PLAUSIBLE-EXTENT"
+    if "PLAUSIBLE-SENSORS" in codes and are_suspect_by_height(facts, ledger):
+        known["no_station"] = "PLAUSIBLE-SENSORS"
+    of_ties = codes & (OF_TIES - UNDECIDED_TIES)
+    if codes & CAUSES_OF_ALL:
+        of_ties = set()
+    if codes & CAUSES_OF_HEIGHTS:
+        of_ties -= OF_HEIGHTS
+    if of_ties:
+        listed = ", ".join(sorted(of_ties))
+        known.update(dict.fromkeys(OF_RAYS, listed))
+    return known
+
+
+def are_suspect_by_height(facts: Facts, ledger: Ledger) -> bool:
+    """Whether stations without corrections are suspect, and their barometers say why."""
+    status = facts.stations.status[~facts.stations.ok]
+    by_height = any(entry.code == "STATIONS-HEIGHT" for entry in ledger)
+    return by_height and bool(np.all(status == "suspect"))
+
+
+def cameras_of_exchanged_sides(facts: Facts) -> list[str]:
+    """The names of the cameras whose width and height seem exchanged."""
+    return [name for name, camera in facts.cameras.items() if are_sides_exchanged(camera)]
+
+
+def settle_findings(
+    accepted: Iterable[AcceptedFinding],
+    known: Mapping[str, str],
+    exchanged: Sequence[str],
+    ledger: Ledger,
+) -> None:
+    """Accept what the mission file accepts, and hold back what other findings may cause.
+
+    That is what tie points find (`hold_back_ties`), what follows from the ``exchanged`` sides of
+    the images of some cameras, and that many rows have a status whose cause is ``known`` by another
+    finding.
+    """
+    accept_findings(accepted, ledger)
     hold_back_extents(exchanged, ledger)
+    ledger.remove(
+        lambda entry: (
+            entry.kind is Kind.FINDING
+            and entry.code == "PLAUSIBLE-FLAGGED"
+            and entry.values["name"] in known
+        )
+    )
     hold_back_ties(ledger)
 
 

@@ -1,0 +1,73 @@
+"""Stations in a UTM zone whose soundings lie where the neighbouring zone has the same x and y."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from unbend.atmosphere.estimate.external_readings import FAR_M, TimeAndPlace
+from unbend.atmosphere.soundings import Sounding
+from unbend.config import Mission
+from unbend.messages import Ledger, Message
+from unbend.stages import messages
+from unbend.stages.opened_inputs import OpenedInputs
+from unbend.tables.geodata.coordinate_systems import utm_zone_of
+
+ZONES = 60  # round the earth
+ZONE_WIDTH_RAD = 2.0 * math.pi / ZONES
+NEAR_M = 150e3  # by chance a far sounding is hardly so near a place of the neighbouring zone
+
+
+def system_of_stations(mission: Mission, inputs: OpenedInputs) -> tuple[str, str]:
+    """The key of the coordinate system of the stations, and the system; empty without one."""
+    orientation = mission.stations.orientation
+    if orientation is not None:
+        of_block = None if inputs.orientation is None else inputs.orientation.crs
+        return "stations.orientation.crs", orientation.crs or of_block or ""
+    trajectory = mission.stations.trajectory
+    if trajectory is not None and trajectory.moves_stations:
+        return "stations.trajectory.crs", trajectory.crs or ""
+    return "", ""
+
+
+def zone_findings(
+    crs: str, where: str, soundings: Sequence[Sounding], flight: TimeAndPlace, ledger: Ledger
+) -> Iterator[Message]:
+    """A finding if all soundings are far, and one is near the same x and y of another zone.
+
+    Not where the places of the images are confirmed (FRAME-CONFIRMED). A neighbouring zone has the
+    same x and y 6 degrees of longitude away.
+    """
+    zone = utm_zone_of(crs) if crs else None
+    if zone is None or any(entry.code == "FRAME-CONFIRMED" for entry in ledger):
+        return
+    number, hemisphere = zone
+    away_m = nearest_m(soundings, flight)
+    if not FAR_M < away_m < math.inf:
+        return
+    for step in (-1, 1):
+        longitude_rad = flight.longitude_rad + step * ZONE_WIDTH_RAD
+        longitude_rad = math.remainder(longitude_rad, 2.0 * math.pi)
+        in_neighbour = replace(flight, longitude_rad=longitude_rad)
+        neighbour_m = nearest_m(soundings, in_neighbour)
+        if neighbour_m < NEAR_M:
+            neighbour = (number + step - 1) % ZONES + 1
+            yield messages.neighbouring_zone(
+                where=where,
+                zone=f"{number}{hemisphere}",
+                neighbour=f"{neighbour}{hemisphere}",
+                latitude_deg=math.degrees(flight.latitude_rad),
+                longitude_deg=math.degrees(flight.longitude_rad),
+                away_km=away_m / 1e3,
+                neighbour_deg=math.degrees(longitude_rad),
+                neighbour_km=neighbour_m / 1e3,
+            )
+
+
+def nearest_m(soundings: Sequence[Sounding], place: TimeAndPlace) -> float:
+    """How far the nearest sounding is from a place [m]; infinite if none has a place."""
+    distances = []
+    for sounding in soundings:
+        metres = place.metres_from(sounding.latitude_rad, sounding.longitude_rad)
+        if math.isfinite(metres):
+            distances.append(metres)
+    return min(distances, default=math.inf)
