@@ -23,14 +23,21 @@ MetricSection.pixel_um                        at least 2, at most 2       um
 MetricSection.format_mm                       at least 2, at most 2       mm
 MetricSection.ppa_mm                          at least 2, at most 2       mm
 MetricSection.radius_mm                       > 0                         mm
+MetricDistortion.k0                           >= -10, <= 10               1
+MetricDistortion.k1                           >= -10, <= 10               mm^-2
+MetricDistortion.k2                           >= -10, <= 10               mm^-4
+MetricDistortion.k3                           >= -10, <= 10               mm^-6
+MetricDistortion.k4                           >= -10, <= 10               mm^-8
+MetricDistortion.p1                           >= -10, <= 10               mm^-1
+MetricDistortion.p2                           >= -10, <= 10               mm^-1
 MetricDistortion.b1                           >= -0.05, <= 0.05           1
 MetricDistortion.b2                           >= -0.05, <= 0.05           1
 MetricTable.rows                              at least 3                  um
-DistortionSection.k1                          >= -10, <= 10               1
-DistortionSection.k2                          >= -10, <= 10               1
-DistortionSection.k3                          >= -10, <= 10               1
-DistortionSection.p1                          >= -10, <= 10               1
-DistortionSection.p2                          >= -10, <= 10               1
+DistortionSection.k1                          >= -1e+15, <= 1e+15         1
+DistortionSection.k2                          >= -1e+15, <= 1e+15         1
+DistortionSection.k3                          >= -1e+15, <= 1e+15         1
+DistortionSection.p1                          >= -1e+15, <= 1e+15         1
+DistortionSection.p2                          >= -1e+15, <= 1e+15         1
 WindowSection.normal                          at least 3, at most 3       1
 CabinSection.relative_humidity                >= 0, <= 1                  1
 CabinSection.sigma_pressure_hpa               >= 0, <= 300                hPa

@@ -97,7 +97,7 @@ class SectionError(ValueError):
     """What a validator of a section refuses: a value, or values that do not go together.
 
     ``key`` is the key of the section where the mistake is; empty for the place that is validated.
-    ``at`` are the keys, from that place on, whose line is named: the text names them itself.
+    ``at`` are the keys, from that place on, to the line of the mistake: the text names them itself.
     """
 
     def __init__(self, text: str, *, key: str = "", at: tuple[str | int, ...] = ()) -> None:
