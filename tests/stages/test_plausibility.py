@@ -110,10 +110,10 @@ radians:
     key: mount.oblique.roll_deg
     words: which is -45 deg in radians
 lever arm in cm:
-    mission: {mount.oblique.lever_arm_m: [20.0, 28.0, 55.0]}
+    mission: {mount.oblique.lever_arm_m: [20.0, 28.0, 45.0]}
     code: PLAUSIBLE-LEVER-ARM
     key: mount.oblique.lever_arm_m
-    words: is 65 m long
+    words: is 57 m long
 lever arm upward:
     mission: {mount.oblique.lever_arm_m: [0.2, 0.28, -0.55]}
     code: PLAUSIBLE-LEVER-ARM
