@@ -395,7 +395,7 @@ def test_a_folder_without_permission(mission, monkeypatch):
 
 
 def test_an_accepted_finding_stays_and_raises_nothing(mission):
-    mission.config["mount"]["oblique"]["lever_arm_m"] = [20.0, 28.0, 55.0]
+    mission.config["mount"]["oblique"]["lever_arm_m"] = [20.0, 28.0, 45.0]
     ledger = check_mission(mission.save()).manifest.values["ledger"]
     findings = {entry["code"] for entry in ledger if entry["kind"] == "finding"}
     assert "PLAUSIBLE-LEVER-ARM" in findings
