@@ -95,7 +95,7 @@ class SectionError(ValueError):
     """What a validator of a section refuses: a value, or values that do not go together.
 
     ``key`` is the key of the section where the mistake is; empty for the place that is validated.
-    ``at`` are the keys, from that place on, whose line is named: the text names them itself.
+    ``at`` are keys from that place on: the line of the last one is named. The text has them itself.
     """
 
     def __init__(self, text: str, *, key: str = "", at: tuple[str | int, ...] = ()) -> None:
