@@ -140,7 +140,7 @@ VERDICT = (
     "95 %: 3.1 m, 3 px). Check 2 losses (AA-LOSS, ZZ-LOSS) before use."
 )
 STEPS = [
-    "Read the entries of AA-LOSS, ZZ-LOSS in the ledger.",
+    "See the ledger about AA-LOSS, ZZ-LOSS.",
     "Leave out 4,980 rows without new coordinates (13 no_ground, 21 misses_ground); the ledger "
     "names the causes.",
     "Then adjust x_corrected_px, y_corrected_px, or export them: unbend export.",

@@ -249,7 +249,7 @@ def test_nothing_that_ended_with_three_is_ready(baseline, kind, noun):
             ["AIR-STUCK", "LOG-CRC"],
             "(LOG-CRC). If there is a complete file, use it. AIR-STUCK: Check the sensor",
         ),
-        (["OF-TOMORROW"], "Read the entries of OF-TOMORROW in the ledger."),
+        (["OF-TOMORROW"], "See the ledger about OF-TOMORROW."),
     ],
 )
 def test_the_remedy_of_a_loss_is_that_of_its_code(codes, step):
@@ -263,7 +263,7 @@ def test_many_losses_are_left_to_the_ledger():
     codes = ["AIR-STUCK", "DEM-OUTSIDE", "EVENTS-LOST", "GEOID-OUTSIDE", "TIME-STRAY"]
     *explained, last = steps_of_losses(codes)
     assert len(explained) == 3
-    assert last == "Read the entries of GEOID-OUTSIDE, TIME-STRAY in the ledger."
+    assert last == "See the ledger about GEOID-OUTSIDE, TIME-STRAY."
 
 
 def test_an_incomplete_log_is_no_mistake(baseline):

@@ -27,6 +27,7 @@ from tests.stages.other_logs import (
     with_channels,
 )
 from tests.stages.terrain_models import gtx
+from unbend.batch.runs import check_mission
 from unbend.tables.geodata.geoid import package_geoid
 
 UNDULATION_M = 47.6
@@ -323,6 +324,18 @@ def test_empty_cells_in_the_column_of_images_are_counted_apart(mission):
     assert entry["where"] == "observations.columns.image"
     assert "OBS-FLAGGED" not in codes_of(manifest)
     assert "None" not in json.dumps(manifest["ledger"])
+
+
+def test_a_column_of_images_that_is_empty(mission):
+    table = mission.measurements().to_pandas()
+    table["image"] = ""
+    observe(mission, table)
+
+    manifest = check_mission(mission.save()).manifest.values
+
+    assert entry_of(manifest, "OBS-NO-IMAGE")["count"] == len(table)
+    flagged = entry_of(manifest, "PLAUSIBLE-FLAGGED")["what"]
+    assert flagged.endswith("the name of the image is missing (observations.columns.image)")
 
 
 def test_a_log_without_any_attitude(mission, baseline):

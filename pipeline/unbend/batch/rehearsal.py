@@ -227,12 +227,13 @@ def deflection_text(facts: Facts) -> str:
     ok = facts.stations.ok
     lat_rad = facts.stations.lat_rad[ok]
     lon_rad = facts.stations.lon_rad[ok]
-    above = (facts.camera_height_m - facts.rows.h_g_m)[np.isfinite(facts.rows.h_g_m)]
+    above = facts.camera_height_m - facts.rows.h_g_m
+    above = above[np.isfinite(above)]
     if not lat_rad.size or not above.size:
         return "unknown"
     north, east = package_geoid().deflection(lat_rad, lon_rad)
     deflection = float(np.median(np.hypot(north, east)))
-    metres = deflection * float(np.nanmedian(above))
+    metres = deflection * float(np.median(above))
     return (
         f"deflected by {deflection / ARCSEC:.1f} arcsec (EGM96), {metres:.2f} m on the ground: not "
         "removed unless the trajectory did"

@@ -109,7 +109,7 @@ def refuse_file_as_command(words: Sequence[str], commands: Collection[str]) -> N
         command_name = "run"
     else:
         return
-    raise command_not_first(word=first, command_line=shlex.join(["unbend", command_name, *others]))
+    raise command_not_first(word=first, line=shlex.join(["unbend", command_name, *others]))
 
 
 def refuse_urls(command: str, words: Iterable[str]) -> None:

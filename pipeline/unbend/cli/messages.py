@@ -49,14 +49,14 @@ INIT_EXISTS = Code(
 )
 
 
-def command_not_first(*, word: str, command_line: str) -> ConfigError:
-    """The command does not come first; ``command_line`` has it there."""
+def command_not_first(*, word: str, line: str) -> ConfigError:
+    """The command does not come first; ``line`` has it there."""
     return ConfigError(
         COMMAND_ORDER,
         "{word!r} is not a command: the command comes first",
-        remedy="write: {command_line}",
+        remedy="write: {line}",
         word=word,
-        command_line=command_line,
+        line=line,
     )
 
 

@@ -35,10 +35,8 @@ def _checked_path(value: str) -> str:
 
 PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$"), AfterValidator(_checked_path)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-LONGEST_ARM_M = 50  # along an axis: more than half the length or the span of any aircraft
 LeverArm = Annotated[
-    list[Annotated[float, Field(ge=-LONGEST_ARM_M, le=LONGEST_ARM_M)]],
-    Field(min_length=3, max_length=3),
+    list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)
 ]
 Hectopascal = Annotated[float, Field(ge=100, le=1200)]
 Celsius = Annotated[float, Field(ge=-60, le=60)]
@@ -97,7 +95,7 @@ class SectionError(ValueError):
     """What a validator of a section refuses: a value, or values that do not go together.
 
     ``key`` is the key of the section where the mistake is; empty for the place that is validated.
-    ``at`` are the keys, from that place on, to the line of the mistake: the text names them itself.
+    ``at`` are keys from that place on: the line of the last one is named. The text has them itself.
     """
 
     def __init__(self, text: str, *, key: str = "", at: tuple[str | int, ...] = ()) -> None:

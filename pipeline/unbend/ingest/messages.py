@@ -459,8 +459,8 @@ LOG_DROPOUT = Code(
         "accepted."
     ),
     remedy=(
-        "If no image has the status in_gap, accept it with this reason. Next time log less, or to "
-        "a faster card."
+        "If no image is in a gap, accept it with this reason. Next time log less, or to a faster "
+        "card."
     ),
 )
 

@@ -123,7 +123,7 @@ def steps_of_losses(codes: Sequence[str]) -> list[str]:
         steps.append(f"{code}: {meaning_of_code[code].remedy}")
     unexplained = [code for code in others if code not in explained]
     if unexplained:
-        steps.append(f"Read the entries of {', '.join(unexplained)} in the ledger.")
+        steps.append(f"See the ledger about {', '.join(unexplained)}.")
     return steps
 
 

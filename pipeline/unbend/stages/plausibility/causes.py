@@ -83,10 +83,13 @@ def statuses_explained(
 
 
 def cause_of_missing_stations(facts: Facts) -> str:
-    """How many stations have each status but ok, with the keys to look at; empty without any."""
+    """How many stations have each status but ok, with the keys to look at.
+
+    Where all stations are ok, rows without one have no name of an image.
+    """
     counts = Counter(facts.stations.status[~facts.stations.ok].tolist())
     if not counts:
-        return ""
+        return "the name of the image is missing (observations.columns.image)"
     listed = []
     for status, count in counts.items():
         keys = KEYS_OF_STATIONS.get(status, "log")
