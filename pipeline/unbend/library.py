@@ -313,7 +313,9 @@ def report_given_air(profile: Air, ledger: Ledger) -> None:
 def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dict[str, Any]:
     """The section ``stations.orientation`` by the names of the ``filled`` columns of stations.
 
-    What the caller has ``stated`` goes before what the names say.
+    What the caller has ``stated`` goes before what the names say: a stated column of heights is
+    used alone, and of several columns that with the stated reference. A stated date is used in the
+    place of times.
     """
     columns = {name: name for name in _OPTIONAL_COLUMNS if name in filled}
     if "date" in stated:
@@ -322,21 +324,34 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
     for name, angles in _ANGLES_OF_COLUMN.items():
         if name in filled:
             section["angles"] = angles
+    stated_columns = dict(stated.get("columns", {}))
     frame = stated.get("frame", "geographic")
     has_places = "latitude" in filled and "longitude" in filled
-    height_key = "z" if frame == "projected" else "height"
-    for name, reference in _REFERENCE_OF_HEIGHT.items():
-        has_height = has_places or frame == "projected"
-        if name in filled and has_height and height_key not in columns:
-            columns[height_key] = name
-            section["heights"] = reference
-    if isinstance(frame, Mapping) and has_places:  # angles of one place, positions in degrees
+    is_local = isinstance(frame, Mapping)  # angles of one place
+    if is_local and has_places:  # degrees, which are not the default in this frame
         columns["latitude"] = "latitude"
         columns["longitude"] = "longitude"
+    height_key = "z" if frame == "projected" else "height"
+    is_geodetic = has_places and (is_local or frame == "geographic")
+    if (is_geodetic or frame == "projected") and height_key not in stated_columns:
+        found = height_column(filled, stated.get("heights"))
+        if found is not None:
+            columns[height_key], section["heights"] = found
     section |= stated
-    section["columns"] = columns | dict(stated.get("columns", {}))
+    section["columns"] = columns | stated_columns
     section["path"] = "stations"
     return section
+
+
+def height_column(filled: Sequence[str], stated_reference: str | None) -> tuple[str, str] | None:
+    """The first of the ``filled`` columns of heights, and its reference.
+
+    Only one of the stated reference, where one is stated; None if there is none.
+    """
+    for name, reference in _REFERENCE_OF_HEIGHT.items():
+        if name in filled and stated_reference in (None, reference):
+            return name, reference
+    return None
 
 
 def _plain_value(value: object) -> object:

@@ -299,6 +299,30 @@ def test_heights_of_another_column_are_used_as_stated(simple, frame):
     assert_frame_equal(stated[CORRECTED], usual[CORRECTED], check_exact=True)
 
 
+@pytest.fixture
+def heights_that_differ(opk):
+    """Stations with both heights, a kilometre apart."""
+    stations = opk.rename(columns={"height": "h_msl_m"})
+    return stations.assign(h_ellipsoid_m=stations["h_msl_m"] + 1000.0)
+
+
+def test_of_two_columns_of_heights_that_of_the_stated_reference_is_used(
+    simple, heights_that_differ
+):
+    orientation = {"heights": "ellipsoid", "angles": "omega_phi_kappa"}
+    alone = heights_that_differ.drop(columns="h_msl_m")
+
+    result = simple(stations=heights_that_differ, orientation=orientation)
+
+    expected = simple(stations=alone, orientation=orientation)
+    assert_frame_equal(result[CORRECTED], expected[CORRECTED], check_exact=True)
+
+
+def test_a_stated_column_of_heights_needs_its_own_reference(refuse, heights_that_differ):
+    columns = {"columns": {"height": "h_ellipsoid_m"}}
+    refuse("CONFIG-INVALID", stations=heights_that_differ, orientation=columns)
+
+
 def test_what_is_chosen_among_columns_is_said(simple, frame, opk):
     several = opk.rename(columns={"height": "h_msl_m"}).assign(
         h_ellipsoid_m=opk["height"] + 47.0,

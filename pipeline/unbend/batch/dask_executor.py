@@ -313,9 +313,9 @@ def check_workers(
 ) -> None:
     """Refuse workers that would not do what this process does, and a scheduler without workers.
 
-    Refused are workers with other versions (WORKER-VERSION), or that cannot see one of the mission
-    ``files`` (WORKER-FILES), or that do not answer (SCHEDULER-WORKERS). A worker that ends during
-    the check is none.
+    Refused are workers with other versions, or that cannot run the program (WORKER-VERSION), that
+    cannot see one of the mission ``files`` (WORKER-FILES), or that do not answer
+    (SCHEDULER-WORKERS). Workers that end during the check are passed over.
     """
     question = pickle.dumps(partial(about_worker, files))
     workers = sorted(within(_CHECK_S, client.nthreads))
@@ -329,8 +329,10 @@ def check_workers(
             reports.pop(worker, None)
         elif worker not in reports:
             raise messages.worker_silent(worker=worker, seconds=_CHECK_S)
+    if not reports:
+        raise messages.no_workers(address=client.scheduler_info()["address"])
     for worker, report in sorted(reports.items()):
-        if not isinstance(report, tuple):  # `about_worker` failed; the last line says why
+        if not isinstance(report, tuple):  # a Bug or an error; the last line says why
             text = report.traceback if isinstance(report, Bug) else str(report)
             raise messages.worker_unable(worker=worker, error=text.strip().split("\n")[-1])
         versions_there, missing = report

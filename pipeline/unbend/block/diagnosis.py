@@ -279,7 +279,10 @@ def refined_mount(
 def refined_amount(
     mission: StatedMission, hypothesis: PossibleMistake, points: Integers | None
 ) -> tuple[PossibleMistake, float]:
-    """An amount at the top of parabolas through three log likelihoods, with the sigma they show."""
+    """An amount at the top of parabolas through three log likelihoods, with the sigma they show.
+
+    The sigma is infinite where no top was near, and for a mistake without an amount.
+    """
     amount = hypothesis.amount
     step = hypothesis.step
     sigma = np.inf
@@ -294,13 +297,17 @@ def refined_amount(
         low, middle, high = likelihoods
         curve = low - 2.0 * middle + high
         farthest = LARGEST_STEPS * step
+        if not np.isfinite(curve) or high == low == middle:
+            break
         if not curve < 0.0:  # no top is near: on, up the slope
             amount += farthest * float(np.sign(high - low))
             continue
         sigma = step / float(np.sqrt(-curve))
         change = float(np.clip(0.5 * step * (low - high) / curve, -farthest, farthest))
         amount += change
-        if abs(change) > step:  # the top is beyond what was tried: a shorter step ends before it
+        if (
+            abs(change) > step
+        ):  # the top is beyond what was tried: shorter steps would not get there
             continue
         step = min(max(sigma, SMALLEST_STEP * step), step)
         if abs(change) < SETTLED * sigma:

@@ -192,7 +192,8 @@ def refuse_impossible(camera: Camera) -> None:
 def _refuse_large_distortion(camera: Camera) -> None:
     """Refuse (PhysicsError CAMERA-DISTORTION) a distortion that moves points absurdly far outwards.
 
-    Looked at where rays to the borders of the image would meet it without a distortion.
+    Points on the borders of the image are taken as undistorted. The distortion may move them to
+    `LARGEST_STRETCH` times their distance from the principal point, and not to nowhere (NaN).
     """
     without_distortion = replace(camera, distortion=type(camera.distortion)())
     x, y = _border(camera)
@@ -203,7 +204,7 @@ def _refuse_large_distortion(camera: Camera) -> None:
         distance_px = np.hypot(x - camera.cx_px, y - camera.cy_px)
         distorted_px = np.hypot(distorted_x - camera.cx_px, distorted_y - camera.cy_px)
         largest_px = LARGEST_STRETCH * distance_px + _SLACK_PX
-        is_large = ~(distorted_px <= largest_px) & covered
+        is_large = ~(distorted_px <= largest_px) & covered  # NaN is large too
     if is_large.any():
         first = is_large.argmax()
         raise messages.camera_distortion(

@@ -297,20 +297,22 @@ def _possible_dew_points(raw: RawLevels, dew_point_k: Array) -> tuple[RawLevels,
 def _refuse_exchanged(raw: RawLevels, dew_point_k: Array) -> None:
     """Refuse dew points that are temperatures: above these in most levels, below in hardly any.
 
-    Depressions of the dew point in its place are above temperatures too where it freezes; but they
-    are not negative, and do not fall with the height as temperatures do.
+    Depressions of the dew point in its place are above temperatures too where it freezes. They are
+    not negative, and they hardly fall with the height as temperatures do: `_refuse_too_wet` tells
+    of them.
     """
     above_k = dew_point_k - raw.temperature_k
     is_known = np.isfinite(above_k)
     if not bool(is_known.any()):
         return
-    far_above = float(np.mean(above_k[is_known] > DEW_POINT_ABOVE_K))
-    not_below = float(np.mean(above_k[is_known] >= 0.0))
-    if far_above <= MOST_LEVELS or not_below < NEARLY_ALL_LEVELS:
+    share_far_above = float(np.mean(above_k[is_known] > DEW_POINT_ABOVE_K))
+    share_not_below = float(np.mean(above_k[is_known] >= 0.0))
+    if share_far_above <= MOST_LEVELS or share_not_below < NEARLY_ALL_LEVELS:
         return
     upward_k = dew_point_k[is_known]
+    is_never_negative = upward_k.min() >= ZERO_CELSIUS_K  # read as dew points in degC
     falls = upward_k[0] > upward_k[-1]
-    if upward_k.min() >= ZERO_CELSIUS_K and not falls:
+    if is_never_negative and not falls:  # depressions
         return
     raise messages.sounding_dew_points_exchanged(
         **_where_stated(raw, "dew point"),

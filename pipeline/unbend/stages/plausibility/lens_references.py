@@ -20,14 +20,17 @@ SMALLEST_SHIFT_PX = 0.05  # in the corner of an image: less cannot be measured
 
 
 def lens_references(facts: Facts) -> Iterator[Message]:
-    """For a calibration in flight, a reference that is no air of the ground, if it matters."""
+    """Expected: the reference of a calibration in flight is not the air of the ground.
+
+    A finding where it is, if this shifts a corner of the image measurably.
+    """
     mission = facts.mission
     for name, lens in mission.lenses.items():
         calibration = mission.cameras[name].calibration
         if calibration == "laboratory":
             continue
         change_ppm = lens_change_ppm(name, mission, facts.stations, facts.adjustment.profile)
-        corner_px = largest_corner_shift(mission, {name: change_ppm})
+        corner_px = largest_corner_shift(mission, {name: change_ppm})  # 0 without exposures
         if corner_px < SMALLEST_SHIFT_PX:
             continue
         reference_pa = lens.reference_pressure_pa
