@@ -237,8 +237,12 @@ def test_profile_below_the_sea_is_the_air_and_not_the_board(two_cameras):
 
 def test_sound_flights_raise_no_finding(survey, two_cameras):
     for flown in (survey, two_cameras):
-        kinds = [entry["kind"] for entry in flown.manifest["ledger"]]
-        assert "finding" not in kinds
+        findings = set()
+        for entry in flown.manifest["ledger"]:
+            if entry["kind"] == "finding":
+                findings.add(entry["code"])
+        assert findings <= {"LOG-DROPOUT"}  # the logger's own count, on a card
+        assert flown.is_card or not findings
 
 
 def test_two_cameras_stay_apart_and_lost_pulses_are_counted(two_cameras):
