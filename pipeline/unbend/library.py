@@ -324,34 +324,37 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
     for name, angles in _ANGLES_OF_COLUMN.items():
         if name in filled:
             section["angles"] = angles
-    stated_columns = dict(stated.get("columns", {}))
     frame = stated.get("frame", "geographic")
-    has_places = "latitude" in filled and "longitude" in filled
     is_local = isinstance(frame, Mapping)  # angles of one place
+    has_places = "latitude" in filled and "longitude" in filled
     if is_local and has_places:  # degrees, which are not the default in this frame
         columns["latitude"] = "latitude"
         columns["longitude"] = "longitude"
-    height_key = "z" if frame == "projected" else "height"
+    stated_columns = dict(stated.get("columns", {}))
     is_geodetic = has_places and (is_local or frame == "geographic")
-    if (is_geodetic or frame == "projected") and height_key not in stated_columns:
-        found = height_column(filled, stated.get("heights"))
-        if found is not None:
-            columns[height_key], section["heights"] = found
+    if is_geodetic and "height" not in stated_columns:
+        section |= add_height_column(columns, "height", filled, stated.get("heights"))
+    elif frame == "projected" and "z" not in stated_columns:
+        section |= add_height_column(columns, "z", filled, stated.get("heights"))
     section |= stated
     section["columns"] = columns | stated_columns
     section["path"] = "stations"
     return section
 
 
-def height_column(filled: Sequence[str], stated_reference: str | None) -> tuple[str, str] | None:
-    """The first of the ``filled`` columns of heights, and its reference.
+def add_height_column(
+    columns: dict[str, str], key: str, filled: Sequence[str], stated_reference: str | None
+) -> dict[str, str]:
+    """Put the first of the ``filled`` columns of heights under a key of ``columns``.
 
-    Only one of the stated reference, where one is stated; None if there is none.
+    Only one of the stated reference, where one is stated. Returns the key ``heights`` of the
+    section, its reference; nothing without such a column.
     """
     for name, reference in _REFERENCE_OF_HEIGHT.items():
         if name in filled and stated_reference in (None, reference):
-            return name, reference
-    return None
+            columns[key] = name
+            return {"heights": reference}
+    return {}
 
 
 def _plain_value(value: object) -> object:

@@ -118,7 +118,7 @@ def test_the_missions_that_are_spoilt_are_sound(load, base):
             "cameras.nadir: {file: c.json, pixel_origin: centre, calibration: laboratory}",
             "cameras.nadir: pixel_origin cannot be combined with file",
         ),
-        ("cameras.nadir.camera: 1", "cameras.<name>.camera needs file, or a block"),
+        ("cameras.nadir.camera: 1", "cameras.nadir.camera needs file, or a block"),
         (
             METRIC_TABLE,
             "metric.table.rows: radii, or angles of up to 80 degrees, grow from row to row",

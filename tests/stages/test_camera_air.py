@@ -286,8 +286,9 @@ def test_what_is_taken_for_typical_stands_in_the_ledger_and_nothing_is_left(runs
     assert "LENS-NOT-REMOVED" not in kinds
     manifest = manifest_of(values)
     assert verdict(manifest) == outcome(manifest)
-    assert not any("principal_distance" in step for step in next_steps(manifest))
-    assert "as for a typical lens" in " ".join(not_included(manifest))
+    assert not any("State the air" in step for step in next_steps(manifest))
+    left = " ".join(not_included(manifest))
+    assert "A quarter of the effect of the air in the lens of nadir" in left
 
 
 def test_where_the_calibration_says_nothing_the_verdict_has_the_size(runs, outside, unbend):

@@ -321,14 +321,7 @@ def check_workers(
     workers = sorted(within(_CHECK_S, client.nthreads))
     if not workers:
         raise messages.no_workers(address=client.scheduler_info()["address"])
-    ask = partial(run_beside, command, question)
-    reports = answers_of_workers(client, workers, _CHECK_S, ask)
-    for worker in workers:
-        has_no_answer = worker not in reports or isinstance(reports[worker], OSError)
-        if has_no_answer and has_left(client, worker):
-            reports.pop(worker, None)
-        elif worker not in reports:
-            raise messages.worker_silent(worker=worker, seconds=_CHECK_S)
+    reports = reports_of_workers(client, workers, partial(run_beside, command, question))
     if not reports:
         raise messages.no_workers(address=client.scheduler_info()["address"])
     for worker, report in sorted(reports.items()):
@@ -339,6 +332,24 @@ def check_workers(
         refuse_other_versions(worker, versions, versions_there)
         if missing:
             raise messages.files_not_seen(worker=worker, first=missing[0], count=len(missing))
+
+
+def reports_of_workers(
+    client: Client, workers: Sequence[str], question: Callable[[], Any]
+) -> dict[str, Any]:
+    """What each worker answers, or its error; without workers that end meanwhile.
+
+    Refuses (SCHEDULER-WORKERS) a worker that stays and does not answer.
+    """
+    reports = answers_of_workers(client, workers, _CHECK_S, question)
+    for worker in workers:
+        is_silent = worker not in reports
+        has_no_answer = is_silent or isinstance(reports[worker], OSError)
+        if has_no_answer and has_left(client, worker):
+            reports.pop(worker, None)
+        elif is_silent:
+            raise messages.worker_silent(worker=worker, seconds=_CHECK_S)
+    return reports
 
 
 def has_left(client: Client, worker: str) -> bool:

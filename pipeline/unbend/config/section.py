@@ -35,8 +35,10 @@ def _checked_path(value: str) -> str:
 
 PathText = Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$"), AfterValidator(_checked_path)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+LONGEST_ARM_M = 50  # along an axis: more than half the length or the span of any aircraft
 LeverArm = Annotated[
-    list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)
+    list[Annotated[float, Field(ge=-LONGEST_ARM_M, le=LONGEST_ARM_M)]],
+    Field(min_length=3, max_length=3),
 ]
 Hectopascal = Annotated[float, Field(ge=100, le=1200)]
 Celsius = Annotated[float, Field(ge=-60, le=60)]
