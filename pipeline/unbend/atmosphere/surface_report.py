@@ -26,6 +26,7 @@ _QNH_PA = (85_000.0, 110_000.0)
 _GROUND_K = (180.0, 333.0)
 _STATION_M = (-500.0, 6_000.0)
 # Half a step of the report's digits, and what an inspected station's sensor may be off.
+ROUNDING_OF_NUMBERS_C = 1e-6  # of the difference of two numbers in tenths
 _WHOLE_K = 0.5
 _TENTH_K = 0.3
 _QNH_SIGMA_PA = 50.0
@@ -107,7 +108,7 @@ def parse_metar(
         raise messages.metar_range(where=place, quantity="temperature", number=t, unit="K")
     if not _QNH_PA[0] <= qnh <= _QNH_PA[1] and math.isfinite(qnh):
         raise messages.metar_range(where=place, quantity="altimeter setting", number=qnh, unit="Pa")
-    if report.dew_point_c - report.temperature_c > MOST_OF_ROUNDING_C:
+    if report.dew_point_c - report.temperature_c > MOST_OF_ROUNDING_C + ROUNDING_OF_NUMBERS_C:
         raise messages.metar_dew_point_impossible(
             where=place,
             dew_c=report.dew_point_c,

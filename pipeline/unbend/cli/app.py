@@ -99,7 +99,11 @@ def refuse_file_as_command(words: Sequence[str], commands: Collection[str]) -> N
     from unbend.config.other_files import MISSION_ENDINGS
 
     is_mission = first.lower().endswith(MISSION_ENDINGS)
-    if not is_mission and not Path(first).exists():
+    try:
+        is_file = is_mission or Path(first).exists()
+    except OSError:  # the name is too long
+        return
+    if not is_file:
         return
     others = list(words)
     command_name = next((word for word in words if word in commands), "")

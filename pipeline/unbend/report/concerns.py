@@ -108,8 +108,8 @@ def _losses(manifest: Manifest) -> Iterator[Concern]:
 def steps_of_losses(codes: Sequence[str]) -> list[str]:
     """What to do about losses: for those of a log as one, for others the remedies of their codes.
 
-    >>> steps_of_losses(["AIR-SOURCE-FAR"])
-    ['AIR-SOURCE-FAR: Give a report or sounding of the same day and region.']
+    >>> steps_of_losses(["GEOID-OUTSIDE"])
+    ['GEOID-OUTSIDE: Give mission.undulation_m, or a grid that covers the flight.']
     """
     steps = []
     of_logs = [code for code in codes if code.startswith(OF_LOGS)]

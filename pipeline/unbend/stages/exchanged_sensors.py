@@ -46,10 +46,11 @@ def exchanged_sensors(
                 flight.ground,
             )
         )
-        adjusted_profiles(mission, stations, samples, sources, trial)
+        air = adjusted_profiles(mission, stations, samples, sources, trial)
+        used = {use.quantity for use in air.adjustment.sensor_uses if use.used}
         doubted = roles_with(trial, DOUBTED)
         passed = set()
-        for role in tried - doubted:
+        for role in (tried - doubted) & used:
             sensor = samples.sensors.get(role)
             if sensor is not None and sensor.extent_m >= CLIMB_TO_COMPARE_M:
                 passed.add(role)

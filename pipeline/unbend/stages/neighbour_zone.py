@@ -10,11 +10,12 @@ from unbend.config import Mission
 from unbend.messages import Ledger, Message
 from unbend.stages import messages
 from unbend.stages.opened_inputs import OpenedInputs
-from unbend.tables.geodata.coordinate_systems import utm_zone_of
+from unbend.tables.geodata.utm_zones import utm_zone_of
 
 ZONES = 60  # round the earth
 ZONE_WIDTH_RAD = 2.0 * math.pi / ZONES
 NEAR_M = 150e3  # by chance a far sounding is hardly so near a place of the neighbouring zone
+NEAR_SHARE = 0.45  # of its distance by the stated zone: in the north the zones are narrow
 
 
 def system_of_stations(mission: Mission, inputs: OpenedInputs) -> tuple[str, str]:
@@ -24,7 +25,8 @@ def system_of_stations(mission: Mission, inputs: OpenedInputs) -> tuple[str, str
         of_block = None if inputs.orientation is None else inputs.orientation.crs
         return "stations.orientation.crs", orientation.crs or of_block or ""
     trajectory = mission.stations.trajectory
-    if trajectory is not None and trajectory.moves_stations:
+    has_log = mission.log is not None  # whose own positions are compared with a trajectory
+    if trajectory is not None and trajectory.moves_stations and not has_log:
         return "stations.trajectory.crs", trajectory.crs or ""
     return "", ""
 
@@ -49,7 +51,7 @@ def zone_findings(
         longitude_rad = math.remainder(longitude_rad, 2.0 * math.pi)
         in_neighbour = replace(flight, longitude_rad=longitude_rad)
         neighbour_m = nearest_m(soundings, in_neighbour)
-        if neighbour_m < NEAR_M:
+        if neighbour_m < min(NEAR_M, NEAR_SHARE * away_m):
             neighbour = (number + step - 1) % ZONES + 1
             yield messages.neighbouring_zone(
                 where=where,

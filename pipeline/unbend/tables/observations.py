@@ -82,8 +82,9 @@ class Batch:
 
     def without_image(self, rows: NDArray[np.int64]) -> Mask:
         """(k,) Which of some rows (k,) have no name of an image: an empty or a blank cell."""
-        names = self.image.take(pa.array(rows)).to_pylist()
-        return np.array([not (name or "").strip() for name in names], np.bool_)
+        names = pc.fill_null(self.image.take(pa.array(rows)), "")
+        is_blank = pc.equal(pc.utf8_trim_whitespace(names), "")
+        return np.asarray(is_blank.to_numpy(zero_copy_only=False), np.bool_)
 
     def taken(self, rows: NDArray[np.int64]) -> "Batch":
         """Some of its rows, without the user's columns."""

@@ -5,7 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from unbend.messages import Message
-from unbend.refraction.lens_air import LABORATORY_PRESSURE_PA
+from unbend.refraction.lens_air import (
+    LABORATORY_PRESSURE_PA,
+    LABORATORY_TEMPERATURE_K,
+    AnyLens,
+)
 from unbend.stages.camera_air import air_at_camera, largest_corner_shift, lens_change_ppm
 from unbend.stages.plausibility import messages
 from unbend.stages.plausibility.facts import Facts
@@ -16,6 +20,8 @@ LEAST_FALL_PA = 5_000.0
 NEARER_TO_GROUND = 3.0
 """Times, of a reference that is air of the ground: the flight of a calibration may be lower than
 that of the mission, but is hardly lower than a quarter of its height."""
+LABORATORY_WITHIN_PA = 100.0
+LABORATORY_WITHIN_K = 0.5
 SMALLEST_SHIFT_PX = 0.05  # in the corner of an image: less cannot be measured
 
 
@@ -29,6 +35,10 @@ def lens_references(facts: Facts) -> Iterator[Message]:
         calibration = mission.cameras[name].calibration
         if calibration == "laboratory":
             continue
+        window = mission.windows.get(name)
+        in_cabin = window is not None and window.cabin is not None
+        if in_cabin and not is_laboratory(lens):
+            continue  # the pressure of a cabin says nothing of the flying height
         change_ppm = lens_change_ppm(name, mission, facts.stations, facts.adjustment.profile)
         corner_px = largest_corner_shift(mission, {name: change_ppm})  # 0 without exposures
         if corner_px < SMALLEST_SHIFT_PX:
@@ -49,6 +59,13 @@ def lens_references(facts: Facts) -> Iterator[Message]:
             ppm=abs(change_ppm),
             corner_px=corner_px,
         )
+
+
+def is_laboratory(lens: AnyLens) -> bool:
+    """Whether the reference of a lens is the usual air of a laboratory, which no flight has."""
+    off_pa = abs(lens.reference_pressure_pa - LABORATORY_PRESSURE_PA)
+    off_k = abs(lens.reference_temperature_k - LABORATORY_TEMPERATURE_K)
+    return off_pa <= LABORATORY_WITHIN_PA and off_k <= LABORATORY_WITHIN_K
 
 
 def is_air_of_ground(reference_pa: float, in_lens_pa: float, ground_pa: float) -> bool:

@@ -297,22 +297,6 @@ def name_of_system(crs: str) -> str:
     return str(CRS.from_user_input(crs).name)
 
 
-def utm_zone_of(crs: str) -> tuple[int, str] | None:
-    """The number of the UTM zone of a system, and its hemisphere (N or S); None for another one.
-
-    >>> utm_zone_of("EPSG:25833"), utm_zone_of("EPSG:32756"), utm_zone_of("EPSG:2056")
-    ((33, 'N'), (56, 'S'), None)
-    """
-    from pyproj import CRS
-    from pyproj.exceptions import CRSError
-
-    try:
-        zone = CRS.from_user_input(crs).utm_zone
-    except CRSError:
-        return None
-    return None if zone is None else (int(zone[:-1]), zone[-1])
-
-
 def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:
     """(n,) latitudes and longitudes on WGS 84 [rad] of x and y in a system, or lon and lat [deg].
 

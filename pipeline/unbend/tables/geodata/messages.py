@@ -156,9 +156,9 @@ CRS_DATUM = Code(
 )
 
 _WGS84_BETTER = (
-    ". If metres matter, transform the coordinates to a system on WGS 84 or ETRS89 and write that "
-    "system as {key}; a grid that is named here can be installed instead (python -m pyproj sync "
-    "--file NAME)"
+    ". If metres matter, install the grid that is named here, if there is one (python -m pyproj "
+    "sync --file NAME), or transform the coordinates to a system on WGS 84 or ETRS89 and write "
+    "that system as {key}"
 )
 
 
