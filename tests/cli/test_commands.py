@@ -271,7 +271,7 @@ def test_inspect_of_a_cut_log_ends_with_the_code_of_losses(obeyed, flown, tmp_pa
 def test_check_says_what_it_understood_and_writes_nothing(obeyed, mission):
     mission.save()
     before = set(mission.folder.iterdir())
-    text = obeyed("check", mission.file)
+    text = one_line(obeyed("check", mission.file))
     for words in (
         "can be run",
         "3 of nadir, 3 of oblique",

@@ -96,16 +96,12 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
     for place in questions:
         yield Mistake(place, f"still TODO: allowed are {allowed_at(place)}", place)
     all_refused = [_refused(values, item) for item in items]
-    # TODO is refused as a value too, and so may be the section around it.
-    reported = [
-        refused
-        for refused in all_refused
-        if not any(_overlap(refused.place, question) for question in questions)
-    ]
-    misspelt = _misspelt_keys(reported, is_campaign="campaign" in values)
-    for refused in reported:
+    misspelt = _misspelt_keys(all_refused, is_campaign="campaign" in values)
+    for refused in all_refused:
+        # TODO is refused as a value too, and so may be the section around it.
+        follows = any(_overlap(refused.place, question) for question in questions)
         is_misspelt = refused.kind == "missing" and refused.place in misspelt
-        if is_misspelt or _is_arm(refused, all_refused):
+        if follows or is_misspelt or _is_arm(refused, all_refused):
             continue
         yield Mistake(refused.place, _what(refused, values), refused.line_place)
 

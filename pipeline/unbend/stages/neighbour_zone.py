@@ -10,7 +10,7 @@ from unbend.config import Mission
 from unbend.messages import Ledger, Message
 from unbend.stages import messages
 from unbend.stages.opened_inputs import OpenedInputs
-from unbend.tables.geodata.utm_zones import utm_zone_of
+from unbend.tables.geodata.map_grids import utm_zone_of
 
 ZONES = 60  # round the earth
 ZONE_WIDTH_RAD = 2.0 * math.pi / ZONES
