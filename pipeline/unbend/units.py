@@ -16,6 +16,7 @@ Rows = NDArray[np.intp]  # as numpy's functions return row numbers
 ARCSEC = math.pi / 648_000.0  # [rad]
 DEGREE = math.pi / 180.0  # [rad]
 MICRORADIAN = 1e-6  # [rad]
+PPM = 1e-6  # parts per million
 AngleUnit = Literal["deg", "rad", "grad"]
 RADIANS: Mapping[AngleUnit, float] = {"deg": DEGREE, "rad": 1.0, "grad": math.pi / 200.0}
 HECTOPASCAL = 100.0  # [Pa]

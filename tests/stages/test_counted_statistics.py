@@ -42,7 +42,7 @@ def add(statistics, status, camera, sigmas=None, *, images=None, **counts):
     points = [f"p{k}" for k in range(n)]
     points[1] = None
     batch = Batch(
-        image=pa.array(images),
+        image=pa.array(images, pa.string()),
         point=pa.array(points),
         x_px=pixels,
         y_px=pixels,

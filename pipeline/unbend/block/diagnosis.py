@@ -286,9 +286,9 @@ def refined_amount(
     amount = hypothesis.amount
     step = hypothesis.step
     sigma = np.inf
-    most_steps = MAX_STEPS if points is None else MAX_RANKING_STEPS
     if not step:
-        most_steps = 0
+        return hypothesis, sigma
+    most_steps = MAX_STEPS if points is None else MAX_RANKING_STEPS
     for _ in range(most_steps):
         likelihoods = []
         for tried in (amount - step, amount, amount + step):
@@ -305,9 +305,8 @@ def refined_amount(
         sigma = step / float(np.sqrt(-curve))
         change = float(np.clip(0.5 * step * (low - high) / curve, -farthest, farthest))
         amount += change
-        if (
-            abs(change) > step
-        ):  # the top is beyond what was tried: shorter steps would not get there
+        # Where the top is beyond what was tried, shorter steps would not get there.
+        if abs(change) > step:
             continue
         step = min(max(sigma, SMALLEST_STEP * step), step)
         if abs(change) < SETTLED * sigma:

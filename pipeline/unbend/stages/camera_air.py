@@ -28,9 +28,8 @@ from unbend.refraction.window import Window
 from unbend.stages import messages
 from unbend.stages.light import index_of_rows
 from unbend.tables.manifest.results import CameraAirRecord, FlownCamera
-from unbend.units import Array, Mask
+from unbend.units import PPM, Array, Mask
 
-PPM = 1e-6
 COMPARED_AT_DEG = 45.0  # nadir angle of the R that 1 K at the camera is a part of
 
 

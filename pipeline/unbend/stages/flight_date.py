@@ -31,11 +31,7 @@ def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int 
     flown_ns = middle_time_ns(stations.utc_ns)
     if flown_ns is None:
         if mission.atmosphere.adjust:
-            date = stated_date(mission)
-            if date is None:
-                ledger.add(messages.flight_undated())
-            elif is_day_alone(date):
-                ledger.add(messages.flight_of_unknown_hour(where=key_of_date(mission), date=date))
+            _note_unknown_time(mission, ledger)
         return stated_ns
     if stated_ns is not None and abs(flown_ns - stated_ns) > FARTHEST_FROM_DATE_NS:
         ledger.add(
@@ -45,6 +41,15 @@ def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int 
             )
         )
     return flown_ns
+
+
+def _note_unknown_time(mission: Mission, ledger: Ledger) -> None:
+    """Say that a flight without UTC has no date, or a date without an hour."""
+    date = stated_date(mission)
+    if date is None:
+        ledger.add(messages.flight_undated())
+    elif is_day_alone(date):
+        ledger.add(messages.flight_of_unknown_hour(where=key_of_date(mission), date=date))
 
 
 def stated_date(mission: Mission) -> str | None:

@@ -1,7 +1,7 @@
 """The findings of all rules go into the ledger, and what the mission file accepts is accepted."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 
 import numpy as np
 
@@ -10,10 +10,6 @@ from unbend.messages import Kind, Ledger, Message
 from unbend.stages.plausibility import messages
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.rules import RULES, are_sides_exchanged
-
-VERIFYING = ("TIES-RESIDUALS", "ORIENTATION-TIES")
-"""Codes of the comparison with tie points, which compares an elevation model with them too."""
-
 
 CAUSES_OF_ALL = frozenset(
     {
@@ -33,7 +29,9 @@ CAUSES_OF_HEIGHTS = frozenset({"PLAUSIBLE-GROUND", "PLAUSIBLE-TERRAIN"})
 """Codes of mistakes with which the rays meet, at other heights than those of the ground."""
 
 OF_HEIGHTS = frozenset({"TIES-HEIGHT"})
-OF_TIES = OF_HEIGHTS | frozenset(
+"""Codes of what tie points find where heights alone are wrong."""
+
+DECIDED_TIES = OF_HEIGHTS | frozenset(
     {
         "TIES-CALIBRATION",
         "TIES-CAMERAS",
@@ -41,12 +39,9 @@ OF_TIES = OF_HEIGHTS | frozenset(
         "TIES-MOUNT",
         "TIES-PIXELS",
         "TIES-TIME",
-        "TIES-RESIDUALS",
-        "ORIENTATION-TIES",
     }
 )
-"""Codes of what the comparison with tie points finds."""
-
+"""Codes of comparisons with tie points in which one mistake explains how rays miss."""
 
 UNDECIDED_TIES = frozenset({"TIES-RESIDUALS", "ORIENTATION-TIES"})
 """Codes of comparisons with tie points in which no single mistake explains how rays miss."""
@@ -80,11 +75,7 @@ def known_causes(facts: Facts, ledger: Ledger) -> dict[str, str]:
         known["outside_camera"] = "PLAUSIBLE-EXTENT"
     if "PLAUSIBLE-SENSORS" in codes and are_suspect_by_height(facts, ledger):
         known["no_station"] = "PLAUSIBLE-SENSORS"
-    of_ties = codes & (OF_TIES - UNDECIDED_TIES)
-    if codes & CAUSES_OF_ALL:
-        of_ties = set()
-    if codes & CAUSES_OF_HEIGHTS:
-        of_ties -= OF_HEIGHTS
+    of_ties = codes & DECIDED_TIES - consequences_in_ties(codes)
     if of_ties:
         listed = ", ".join(sorted(of_ties))
         known.update(dict.fromkeys(OF_RAYS, listed))
@@ -161,20 +152,25 @@ def hold_back_ties(ledger: Ledger) -> None:
     mission file states is right.
     """
     codes = {entry.code for entry in ledger if entry.kind is Kind.FINDING}
-    of_all = codes & CAUSES_OF_ALL
-    of_heights = codes & CAUSES_OF_HEIGHTS
-    consequences = OF_TIES if of_all else frozenset[str]()
-    if of_heights:
-        consequences |= OF_HEIGHTS
+    consequences = consequences_in_ties(codes)
     held = ledger.remove(lambda entry: entry.kind is Kind.FINDING and entry.code in consequences)
     if held:
         ledger.add(
             messages.ties_held_back(
                 codes=[entry.code for entry in held],
                 keys=[entry.where for entry in held],
-                causes=sorted(of_all | of_heights),
+                causes=sorted(codes & (CAUSES_OF_ALL | CAUSES_OF_HEIGHTS)),
             )
         )
+
+
+def consequences_in_ties(codes: Set[str]) -> frozenset[str]:
+    """Codes of what tie points find where findings of some codes may be the cause."""
+    if codes & CAUSES_OF_ALL:
+        return DECIDED_TIES | UNDECIDED_TIES
+    if codes & CAUSES_OF_HEIGHTS:
+        return OF_HEIGHTS
+    return frozenset()
 
 
 def accept_findings(accepted: Iterable[AcceptedFinding], ledger: Ledger) -> None:
@@ -205,4 +201,4 @@ def is_verified(facts: Facts, ledger: Ledger) -> bool:
         return True
     if bool(np.isfinite(facts.logged_terrain_m).any()):
         return True
-    return any(entry.code in VERIFYING for entry in ledger)
+    return any(entry.code in UNDECIDED_TIES for entry in ledger)

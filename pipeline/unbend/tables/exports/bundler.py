@@ -34,9 +34,7 @@ from unbend.tables.exports.exported_block import (
     refuse_names,
 )
 from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
-from unbend.units import Array, Integers
-
-PPM = 1e-6
+from unbend.units import PPM, Array, Integers
 
 
 def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
