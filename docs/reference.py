@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from docs.snippets import DOCS, printed_by
 from unbend.config.keys import MissionKey, campaign_keys, mission_keys
 from unbend.report import explanations
-from unbend.tables import schemas
+from unbend.tables import written_columns
 
 GENERATED = re.compile(r"<!-- generated: (\w+) (\w+) -->")
 
@@ -57,7 +57,7 @@ def section_of_names(key: MissionKey) -> bool:
 def columns_of(table: str) -> str:
     """The columns of a table of results."""
     rows = ["| column | unit | |", "|---|---|---|"]
-    for name, (_, unit, text) in schemas.columns_of(table).items():
+    for name, (_, unit, text) in written_columns.columns_of(table).items():
         shown_unit = unit or "-"
         rows.append(f"| `{name}` | {shown_unit} | {escaped(text)} |")
     return "\n".join(rows)

@@ -6,9 +6,9 @@
 In a block `console` the lines after `$ ` are run, and the lines below compared: `...` stands for
 any text within a line, and alone for any number of lines. `$ echo $?` shows the exit code of the
 line before; where it is not shown it must be 0. Lines that begin with `unbend` in a block `sh` are
-run, too. A block with a title is written to the file of that name, mission files are loaded, blocks
-`python` without a title executed. All this happens in a folder of the page, which has what
-`<!-- given: flown -->` names. A block below `<!-- slow -->` is left out unless UNBEND_SNIPPETS=all.
+run, too. A block with a title is written to the file of that name, mission files are loaded. Blocks
+`python` without a title are executed with the names of those before. All this happens in a folder
+of the page, which has what `<!-- given: flown -->` names. A block below `<!-- slow -->` is left out unless UNBEND_SNIPPETS=all.
 """
 
 import contextlib
@@ -74,6 +74,11 @@ class Block:
     def runs(self) -> bool:
         """Whether something happens with it."""
         return bool(self.title) or self.kind in ("console", "sh", "yaml", "python")
+
+    @property
+    def is_program(self) -> bool:
+        """Whether it is Python to run: neither a file nor a session of the interpreter."""
+        return self.kind == "python" and not self.title and ">>>" not in self.body
 
 
 @dataclass(frozen=True)
@@ -307,21 +312,32 @@ def run_page(page: Path, folder: Path, every: bool = False) -> list[tuple[Block,
     """Run all blocks of a page in a folder; an error of the page raises with its name."""
     differences: list[tuple[Block, Difference]] = []
     whole = ""
+    names: dict[str, object] = {"__name__": "__main__"}
     with contextlib.chdir(folder):
         for block in blocks(page):
             if block.slow and not every:
                 continue
             of_block: list[Difference] = []
             try:
-                whole = run_block(block, page, whole, of_block)
+                if block.is_program:
+                    run_program(block, page, names)
+                else:
+                    whole = run_block(block, whole, of_block)
             except BaseException as error:
                 raise RuntimeError(f"{page}, in\n{block.body}\n{error}") from error
             differences += [(block, difference) for difference in of_block]
     return differences
 
 
-def run_block(block: Block, page: Path, whole: str, differences: list[Difference]) -> str:
-    """Run one block; returns the page's mission file."""
+def run_program(block: Block, page: Path, names: dict[str, object]) -> None:
+    """Run a block of Python that is no file, with the names of the blocks before it."""
+    program = compile(block.body, str(page), "exec")
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(program, names)
+
+
+def run_block(block: Block, whole: str, differences: list[Difference]) -> str:
+    """Run one block, or write its file; returns the page's mission file."""
     if block.title:
         file = Path(block.title)
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -332,10 +348,6 @@ def run_block(block: Block, page: Path, whole: str, differences: list[Difference
         run_sh(block)
     elif block.kind == "yaml":
         return load_yaml(block, whole)
-    elif block.kind == "python" and not block.title and ">>>" not in block.body:
-        program = compile(block.body, str(page), "exec")
-        with contextlib.redirect_stdout(io.StringIO()):
-            exec(program, {"__name__": "__main__"})
     return whole
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import jinja2
 
 from unbend import caches
-from unbend.report import html
+from unbend.report import report_page
 
 
 def files(folder):
@@ -16,8 +16,8 @@ def test_templates_are_parsed_again_by_another_program(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
     def parsed():
-        html.environment.cache_clear()
-        html.environment().get_template("report.html.j2")
+        report_page.environment.cache_clear()
+        report_page.environment().get_template("report.html.j2")
         return files(tmp_path / "cache" / "unbend" / "templates")
 
     try:
@@ -26,10 +26,10 @@ def test_templates_are_parsed_again_by_another_program(tmp_path, monkeypatch):
         monkeypatch.setattr(jinja2, "__version__", "4.0.0")
         assert len(parsed()) == 2
         (tmp_path / "report.py").write_text("a filter of its own")
-        monkeypatch.setattr(html, "files", lambda _: tmp_path)
+        monkeypatch.setattr(report_page, "files", lambda _: tmp_path)
         assert len(parsed()) == 3
     finally:
-        html.environment.cache_clear()
+        report_page.environment.cache_clear()
 
 
 def test_the_compiler_uses_the_same_folder(monkeypatch, tmp_path):

@@ -9,8 +9,8 @@ from matplotlib.dates import date2num
 
 from unbend.flight.ground_times import LoggedPath
 from unbend.flight.stations import NO_TIME, Stations, empty_stations, station_columns
+from unbend.report.command_plots import flight_figure
 from unbend.report.console import report_console
-from unbend.report.figures import flight_figure
 from unbend.report.terminal import print_stations
 from unbend.tables.writing import rows_of_stations
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers import NS_PER_S, channel
 from unbend.flight.channels import Source
-from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.impossible_samples import plausible_samples
 from unbend.flight.roles import assign_roles
 from unbend.flight.stations import STATION_OK, empty_stations
 

@@ -12,7 +12,11 @@ from tests.flight.made_channels import EARTH_M, counted, located, turned_channel
 from tests.helpers import NS_PER_S, channel, refused
 from unbend.atmosphere.rejection import Reason
 from unbend.errors import MissionError
-from unbend.flight.evidence.quality import RANGES, mask_impossible_values, plausible_samples
+from unbend.flight.evidence.impossible_samples import (
+    RANGES,
+    mask_impossible_values,
+    plausible_samples,
+)
 
 ROW = np.arange(60)
 TENTHS = ROW / 10.0

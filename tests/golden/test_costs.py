@@ -135,7 +135,7 @@ EXPORT = '''
 """A toy: the names of the usable images, each some times."""
 
 from unbend.tables.exports.export_frames import ExportFrame
-from unbend.tables.exports.format import ExportFormat, Option
+from unbend.tables.exports.export_format import ExportFormat, Option
 
 
 def write(run, values, path, ledger):

@@ -136,7 +136,7 @@ def test_what_a_library_holds_open_is_held(like_windows):
 
 
 def test_the_rooms_can_be_imported(like_windows):
-    rooms = ("refraction", "ingest", "batch.runs", "simulate", "cli", "report.html")
+    rooms = ("refraction", "ingest", "batch.runs", "simulate", "cli", "report.report_page")
     like_windows("-c", "import " + ", ".join(f"unbend.{room}" for room in rooms))
 
 

@@ -27,7 +27,7 @@ from unbend.report.air_and_rays import (
     print_profile,
     print_radial,
 )
-from unbend.report.figures import (
+from unbend.report.command_plots import (
     ADJUSTED,
     MEASURED,
     REJECTED,

@@ -11,7 +11,7 @@ from unbend.config.keys import mission_keys
 from unbend.config.schema import mission_schema
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.report.explanations import TABLES, explain, glossary, meanings
-from unbend.tables.schemas import columns_of
+from unbend.tables.written_columns import columns_of
 
 
 @pytest.mark.parametrize("word", ["f_px", "cameras.*.f_px", "cameras.nadir.f_px", "F_PX"])

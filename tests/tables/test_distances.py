@@ -12,7 +12,7 @@ from tests.helpers import refused
 from tests.tables.checks import refused_with
 from tests.tables.observed import COLUMNS, opened
 from unbend.messages import Ledger
-from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
+from unbend.tables.written_columns import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 
 RANGED = COLUMNS | {"distance_m": "range"}
 PAIR = [1.5, 2.5]

@@ -11,8 +11,8 @@ from tests.tables.checks import assert_within
 from tests.tables.observed import opened
 from unbend.refraction.image import COLUMNS, Corrections
 from unbend.tables.pixels import PixelSystem
-from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from unbend.tables.writing import table_of_observations
+from unbend.tables.written_columns import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 
 # 0.1 + 0.5 - 0.5 is not 0.1 in binary: the user's own number must come out, not one computed back.
 X_PX = [0.1, 100.3, 7.0]

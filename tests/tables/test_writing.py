@@ -17,13 +17,18 @@ from unbend.flight.stations import empty_stations
 from unbend.geodesy import lambert_gravity
 from unbend.messages import Ledger
 from unbend.tables.observations import open_observations
-from unbend.tables.schemas import OBSERVATION_COLUMNS, PROFILE_COLUMNS, STATION_COLUMNS, schema_of
 from unbend.tables.writing import (
     table_of,
     table_of_profile,
     table_of_profiles,
     table_of_stations,
     write_parquet,
+)
+from unbend.tables.written_columns import (
+    OBSERVATION_COLUMNS,
+    PROFILE_COLUMNS,
+    STATION_COLUMNS,
+    schema_of,
 )
 
 US = standard_atmosphere("us1976")

@@ -29,8 +29,8 @@ from unbend.errors import StorageError, storage_errors
 from unbend.messages import Ledger, MessageRecord
 from unbend.refraction.effect import FlightAir
 from unbend.report.flown import Flown, flown_of
-from unbend.report.html import write_report
 from unbend.report.progress import Progress
+from unbend.report.report_page import write_report
 from unbend.stages.correction import correct_counted
 from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.light import in_light, require_wavelengths

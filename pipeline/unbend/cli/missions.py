@@ -316,7 +316,7 @@ def stations(
         write_rows_csv(csv, table)
     if plot is not None:
         with answer.progress(f"drawing {plot.name}"):
-            from unbend.report.figures import flight_figure, save_figure
+            from unbend.report.command_plots import flight_figure, save_figure
 
             suspect = [(stretch.begin_ns, stretch.end_ns) for stretch in checked.flight.suspect]
             save_figure(flight_figure(checked.stations, checked.track(), suspect), plot)

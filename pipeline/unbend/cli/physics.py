@@ -329,7 +329,7 @@ def profile(
         write_rows_csv(csv, whole.to_pylist())
     if plot is not None:
         with answer.progress(f"drawing {plot.name}"):
-            from unbend.report.figures import profile_figure, save_figure
+            from unbend.report.command_plots import profile_figure, save_figure
 
             save_figure(profile_figure(air, samples), plot)
     if csv is None and plot is None:

@@ -14,7 +14,7 @@ from pydantic import (
 )
 
 from unbend.config import messages
-from unbend.config.lenses import LensSection
+from unbend.config.lens_in_air import LensSection
 from unbend.config.metric_cameras import MetricSection
 from unbend.config.section import (
     PathText,

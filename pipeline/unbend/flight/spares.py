@@ -7,7 +7,7 @@ import numpy as np
 
 from unbend.flight import messages
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.impossible_samples import plausible_samples
 from unbend.flight.evidence.sources import is_receiver
 from unbend.flight.mount import is_of_gimbal
 from unbend.messages import Message, Notes

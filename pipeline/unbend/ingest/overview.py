@@ -8,7 +8,7 @@ import numpy as np
 from unbend.atmosphere.rejection import count_by_reason, described_counts
 from unbend.errors import MissionError
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.impossible_samples import plausible_samples
 from unbend.flight.evidence.sources import is_receiver
 from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, LoggedPath, takeoff_of
 from unbend.flight.heights import height_system

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from unbend.errors import LogError
-from unbend.flight.evidence.quality import mask_impossible_values
+from unbend.flight.evidence.impossible_samples import mask_impossible_values
 from unbend.ingest import messages
 from unbend.ingest.buffers import release_pages
 from unbend.ingest.dataflash.binary_log import DATAFLASH

@@ -11,7 +11,7 @@ import pyarrow as pa
 from unbend.flight.stations import UNMATCHED
 from unbend.report.summary import verdict
 from unbend.tables.manifest.whole import Manifest
-from unbend.tables.schemas import columns_of, schema_of
+from unbend.tables.written_columns import columns_of, schema_of
 
 COLUMNS = columns_of("campaign")
 
@@ -96,7 +96,7 @@ def campaign_table(name: str, rows: Sequence[Row]) -> pa.Table:
 
 def campaign_page(name: str, rows: Sequence[Row], digest: str) -> str:
     """The page as HTML; the same rows give the same bytes. ``digest`` says what it was made of."""
-    from unbend.report.html import environment
+    from unbend.report.report_page import environment
 
     placed = [row for row in rows if row["lat_deg"] is not None]
     # Longitudes in the turn of the first, so that a campaign at 180 degrees is one place.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from unbend.config.keys import MissionKey, campaign_keys, mission_keys
 from unbend.errors import STORAGE_WRITE, Code
 from unbend.report import messages
-from unbend.tables.schemas import DISPLACED_COLUMNS, columns_of
+from unbend.tables.written_columns import DISPLACED_COLUMNS, columns_of
 
 MAX_KEYS = 8  # that are explained
 MAX_NEAR_CODES = 3

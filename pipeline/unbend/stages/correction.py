@@ -28,8 +28,8 @@ from unbend.stages.correction_setup import CorrectionSetup, GroundHeights
 from unbend.stages.statistics import SAMPLED_ROWS, SampledRows, Statistics
 from unbend.tables.geodata.object_points import matching_rows
 from unbend.tables.observations import Batch, Observations
-from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from unbend.tables.writing import table_of_observations
+from unbend.tables.written_columns import DISPLACED_COLUMNS, OBSERVATION_COLUMNS, schema_of
 from unbend.units import Array, Integers
 
 BYTES_OF_A_ROW = 1500

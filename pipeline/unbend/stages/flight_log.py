@@ -12,8 +12,8 @@ from unbend.flight.channels import ROLE_COLUMNS, Channel
 from unbend.flight.evidence.constant_sensors import constant_sensors
 from unbend.flight.evidence.contradictions import examine
 from unbend.flight.evidence.imported_channels import contradictions_of_import
+from unbend.flight.evidence.impossible_samples import plausible_samples
 from unbend.flight.evidence.log_accuracy import LogAccuracy, with_accuracy
-from unbend.flight.evidence.quality import plausible_samples
 from unbend.flight.evidence.stretches import Stretch
 from unbend.flight.ground_times import GroundEvidence
 from unbend.flight.heights import (

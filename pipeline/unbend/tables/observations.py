@@ -24,8 +24,8 @@ from unbend.tables.observation_files import OpenedTable, Records, csv_records, i
 from unbend.tables.pixels import COLMAP, ImageFrame, PixelSystem
 from unbend.tables.refraction_mark import Direction, refuse_done
 from unbend.tables.row_sample import RowSample
-from unbend.tables.schemas import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from unbend.tables.text_columns import refuse_other_pixels, require_columns
+from unbend.tables.written_columns import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from unbend.units import Array, Mask
 
 _SCANNED_ROWS = 1 << 20  # read at a time for the names of images

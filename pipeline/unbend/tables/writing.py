@@ -26,7 +26,7 @@ from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.refraction.uncertainty.sigmas import Sigmas
 from unbend.tables.observations import Batch
 from unbend.tables.pixels import PixelSystem
-from unbend.tables.schemas import PROFILE_COLUMNS, STATION_COLUMNS, schema_of
+from unbend.tables.written_columns import PROFILE_COLUMNS, STATION_COLUMNS, schema_of
 from unbend.units import Array
 
 if TYPE_CHECKING:

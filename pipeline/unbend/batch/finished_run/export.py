@@ -33,8 +33,8 @@ from unbend.refraction.ray import rays_by
 from unbend.stages import exposure_setup
 from unbend.stages.light import air_by_camera
 from unbend.tables.exports import FORMATS, ExportCamera, ExportFormat, FinishedRun, find_format
+from unbend.tables.exports.export_format import NO_PROGRESS, ExportProgress
 from unbend.tables.exports.export_frames import frame_record
-from unbend.tables.exports.format import NO_PROGRESS, ExportProgress
 from unbend.tables.exports.messages import geoid_without_grid, grid_not_taken
 from unbend.tables.geodata.geoid import read_geoid
 from unbend.tables.geodata.map_grids import MapGrid, open_grid

@@ -11,7 +11,7 @@ from unbend.batch.proposal.values import Proposed, words_of_proposals
 from unbend.config.yaml_text import TODO
 from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
-from unbend.flight.evidence.quality import plausible_samples
+from unbend.flight.evidence.impossible_samples import plausible_samples
 from unbend.flight.ground_times import GroundEvidence
 from unbend.flight.heights import height_system
 from unbend.flight.mount import is_of_gimbal

@@ -22,7 +22,7 @@ from unbend.tables.exports import (
     pix4d_parameters,
     station_files,
 )
-from unbend.tables.exports.format import ExportCamera, ExportFormat, FinishedRun, Option
+from unbend.tables.exports.export_format import ExportCamera, ExportFormat, FinishedRun, Option
 
 MODULES = (
     correction_tables,

@@ -16,9 +16,7 @@ import pyarrow as pa
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import messages
-from unbend.tables.exports.export_frames import ExportFrame, PixelFrame
-from unbend.tables.exports.exported_block import ExportedBlock, add_counts_of_block, block_of
-from unbend.tables.exports.format import (
+from unbend.tables.exports.export_format import (
     PIXEL_UM,
     ExportFormat,
     FinishedRun,
@@ -27,6 +25,8 @@ from unbend.tables.exports.format import (
     pixel_mm,
     write_csv_stream,
 )
+from unbend.tables.exports.export_frames import ExportFrame, PixelFrame
+from unbend.tables.exports.exported_block import ExportedBlock, add_counts_of_block, block_of
 from unbend.units import Array
 
 _LONGEST = 15

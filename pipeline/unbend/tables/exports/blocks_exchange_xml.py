@@ -18,6 +18,7 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports import messages
 from unbend.tables.exports.colmap_files import opencv_coefficients
+from unbend.tables.exports.export_format import ExportFormat, FinishedRun, Values
 from unbend.tables.exports.export_frames import (
     CENTRE_PIXELS,
     OF_COMPUTER_VISION,
@@ -26,7 +27,6 @@ from unbend.tables.exports.export_frames import (
     block_positions,
 )
 from unbend.tables.exports.exported_block import ExportedBlock, add_counts_written, block_of
-from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 from unbend.units import Array
 
 _HALF_PIXEL = 0.5  # from the centre of the upper left pixel to its corner

@@ -19,6 +19,7 @@ from unbend.messages import Ledger
 from unbend.refraction.camera import model_of
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_format import ExportFormat, FinishedRun, Values
 from unbend.tables.exports.export_frames import (
     PHOTOGRAMMETRIC,
     ExportFrame,
@@ -33,7 +34,6 @@ from unbend.tables.exports.exported_block import (
     ideal_coordinates,
     refuse_names,
 )
-from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 from unbend.units import PPM, Array, Integers
 
 

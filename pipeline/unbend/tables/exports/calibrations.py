@@ -27,7 +27,7 @@ from unbend.refraction.image import lattice_nodes
 from unbend.tables.exports import messages
 from unbend.tables.exports.colmap_files import colmap_camera
 from unbend.tables.exports.correction_tables import flying_heights, lattice_parts
-from unbend.tables.exports.format import (
+from unbend.tables.exports.export_format import (
     CORRECTIONS_USE,
     PIXEL_UM,
     ExportFormat,

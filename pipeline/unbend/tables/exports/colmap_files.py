@@ -33,6 +33,7 @@ from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports import messages
 from unbend.tables.exports.colmap_matches import Row, copied_rows, match_rows
 from unbend.tables.exports.colmap_rigs import CAMERA_SENSOR, rig_tables
+from unbend.tables.exports.export_format import ExportFormat, FinishedRun, Values, write_csv_stream
 from unbend.tables.exports.export_frames import (
     CORNER_PIXELS,
     OF_COMPUTER_VISION,
@@ -41,7 +42,6 @@ from unbend.tables.exports.export_frames import (
     block_positions,
 )
 from unbend.tables.exports.exported_block import ExportedBlock, add_counts_of_block, block_of
-from unbend.tables.exports.format import ExportFormat, FinishedRun, Values, write_csv_stream
 from unbend.tables.imports.blocks.colmap import POINT2D
 from unbend.tables.refraction_mark import MARK_TABLE, REFRACTION_KEY, REFRACTION_REMOVED
 from unbend.units import Array, Integers

@@ -11,9 +11,9 @@ from unbend.refraction.angle import RadialTable, angles_to, radial_table
 from unbend.refraction.image import Corrections, correct_observations, lattice_nodes
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.tables.exports import messages
-from unbend.tables.exports.format import FinishedRun, Option, Tables, Values, parquet_and_csv
-from unbend.tables.schemas import columns_of, schema_of
+from unbend.tables.exports.export_format import FinishedRun, Option, Tables, Values, parquet_and_csv
 from unbend.tables.writing import table_of
+from unbend.tables.written_columns import columns_of, schema_of
 from unbend.units import ARCSEC, DEGREE, MICRORADIAN, Array, Integers
 
 _MOST_ROWS = 250_000  # held in memory at a time

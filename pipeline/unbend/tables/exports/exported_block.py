@@ -21,9 +21,9 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_format import NO_PROGRESS, ExportProgress, FinishedRun
 from unbend.tables.exports.export_frames import can_be_placed
 from unbend.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
-from unbend.tables.exports.format import NO_PROGRESS, ExportProgress, FinishedRun
 from unbend.units import Array, Integers, Mask, Names
 
 EARTH_RADIUS_M = 6.371e6  # only for the distance at which rays are weighted

@@ -18,8 +18,8 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_format import FinishedRun
 from unbend.tables.exports.export_frames import origin_of
-from unbend.tables.exports.format import FinishedRun
 from unbend.units import Array, Integers, Mask
 
 

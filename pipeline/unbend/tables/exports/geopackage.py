@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from unbend.flight.stations import station_columns
 from unbend.messages import Ledger
+from unbend.tables.exports.export_format import ExportFormat, FinishedRun, GridUse, Values
 from unbend.tables.exports.export_frames import WGS84_2D
 from unbend.tables.exports.footprints import footprints, placed_stations
-from unbend.tables.exports.format import ExportFormat, FinishedRun, GridUse, Values
 from unbend.tables.exports.ground_points import (
     ATTRIBUTES,
     attributes_of,

@@ -17,6 +17,13 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
+from unbend.tables.exports.export_format import (
+    ExportFormat,
+    FinishedRun,
+    GridUse,
+    Values,
+    write_csv_stream,
+)
 from unbend.tables.exports.export_frames import (
     SEA_LEVEL_OF_RUN,
     WGS84_2D,
@@ -25,17 +32,10 @@ from unbend.tables.exports.export_frames import (
     pixels_of_run,
 )
 from unbend.tables.exports.exported_block import ideal_coordinates
-from unbend.tables.exports.format import (
-    ExportFormat,
-    FinishedRun,
-    GridUse,
-    Values,
-    write_csv_stream,
-)
 from unbend.tables.exports.stations_in_grid import place_columns
 from unbend.tables.geodata.map_grids import MapGrid
-from unbend.tables.schemas import schema_of
 from unbend.tables.writing import table_of
+from unbend.tables.written_columns import schema_of
 from unbend.units import Array, Integers, Mask
 
 _COLUMNS = [

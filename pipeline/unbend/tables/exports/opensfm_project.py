@@ -19,6 +19,7 @@ from unbend.messages import Ledger
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports.colmap_files import opencv_coefficients, point_ids
+from unbend.tables.exports.export_format import ExportFormat, FinishedRun, Values
 from unbend.tables.exports.export_frames import (
     OF_COMPUTER_VISION,
     ExportFrame,
@@ -32,7 +33,6 @@ from unbend.tables.exports.exported_block import (
     block_of,
     refuse_names,
 )
-from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 from unbend.units import Integers
 
 _BROWN = ("k1", "k2", "p1", "p2", "k3")

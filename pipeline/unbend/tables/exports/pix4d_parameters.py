@@ -15,6 +15,7 @@ from unbend.flight.rotations import opk_of_quaternion
 from unbend.messages import Ledger
 from unbend.tables.exports import messages
 from unbend.tables.exports.blocks_exchange_xml import plain_coefficients
+from unbend.tables.exports.export_format import ExportFormat, FinishedRun, Values
 from unbend.tables.exports.export_frames import (
     CORNER_PIXELS,
     EAST_NORTH_UP,
@@ -28,7 +29,6 @@ from unbend.tables.exports.exported_block import (
     block_of,
     refuse_names,
 )
-from unbend.tables.exports.format import ExportFormat, FinishedRun, Values
 
 _HEAD = (
     "fileName imageWidth imageHeight \n"

@@ -18,6 +18,13 @@ import pyarrow as pa
 from unbend.flight.rotations import opk_of_quaternion
 from unbend.flight.stations import station_columns
 from unbend.messages import Ledger
+from unbend.tables.exports.export_format import (
+    ExportFormat,
+    FinishedRun,
+    GridUse,
+    Values,
+    write_csv_stream,
+)
 from unbend.tables.exports.export_frames import (
     EAST_NORTH_UP,
     ELLIPSOID_OF_WGS84,
@@ -32,17 +39,10 @@ from unbend.tables.exports.export_frames import (
     scale_of_grid,
 )
 from unbend.tables.exports.footprints import footprints, placed_stations, stations_in_one_frame
-from unbend.tables.exports.format import (
-    ExportFormat,
-    FinishedRun,
-    GridUse,
-    Values,
-    write_csv_stream,
-)
 from unbend.tables.exports.stations_in_grid import grid_angles, grid_columns, stations_in_grid
 from unbend.tables.geodata.map_grids import check_grid_axes
-from unbend.tables.schemas import schema_of
 from unbend.tables.writing import table_of
+from unbend.tables.written_columns import schema_of
 from unbend.units import Array, Integers, Mask
 
 _PLACES = ("lat_deg", "lon_deg", "h_ellipsoid_m")
