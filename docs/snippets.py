@@ -8,7 +8,8 @@ any text within a line, and alone for any number of lines. `$ echo $?` shows the
 line before; where it is not shown it must be 0. Lines that begin with `unbend` in a block `sh` are
 run, too. A block with a title is written to the file of that name, mission files are loaded. Blocks
 `python` without a title are executed with the names of those before. All this happens in a folder
-of the page, which has what `<!-- given: flown -->` names. A block below `<!-- slow -->` is left out unless UNBEND_SNIPPETS=all.
+of the page, which has what `<!-- given: flown -->` names. A block below
+`<!-- slow -->` is left out unless UNBEND_SNIPPETS=all.
 """
 
 import contextlib
