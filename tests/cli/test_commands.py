@@ -129,6 +129,7 @@ ANGLES = yaml.safe_load("""
         ("mission.yaml run", "unbend run mission.yaml"),
         ("mission.yaml", "unbend run mission.yaml"),
         ("a.yml check --json", "unbend check a.yml --json"),
+        ("a.yml --output run", "unbend run a.yml --output run"),
         ("{file} inspect --type BARO", "unbend inspect {file} --type BARO"),
     ],
 )

@@ -91,7 +91,8 @@ class _Group(TyperGroup):
 def refuse_file_as_command(words: Sequence[str], commands: Collection[str]) -> None:
     """Refuse (COMMAND-ORDER) a line of words that begins with a file, and say how to write it.
 
-    The command is the first word that is one; without one, a mission file is meant to be run.
+    The command is the first word that is one and no value of an option; without one, a mission file
+    is meant to be run.
     """
     first = words[0]
     if first in commands:
@@ -106,14 +107,28 @@ def refuse_file_as_command(words: Sequence[str], commands: Collection[str]) -> N
     if not is_file:
         return
     others = list(words)
-    command_name = next((word for word in words if word in commands), "")
-    if command_name:
-        others.remove(command_name)
+    place = place_of_command(words, commands)
+    if place is not None:
+        command_name = others.pop(place)
     elif is_mission:
         command_name = "run"
     else:
         return
     raise command_not_first(word=first, line=shlex.join(["unbend", command_name, *others]))
+
+
+def place_of_command(words: Sequence[str], commands: Collection[str]) -> int | None:
+    """The place of the first word that is a command and does not follow an option; None without.
+
+    >>> place_of_command(["a.yaml", "run"], {"run"})
+    1
+    >>> place_of_command(["a.yaml", "--output", "run"], {"run"})
+    """
+    for place, word in enumerate(words):
+        is_value = place > 0 and words[place - 1].startswith("--")
+        if word in commands and not is_value:
+            return place
+    return None
 
 
 def refuse_urls(command: str, words: Iterable[str]) -> None:

@@ -609,7 +609,7 @@ def sounding_far_away(*, where: str, km: float, worth: str) -> Message:
 
 SOUNDING_FAR_IN_TIME = Code(
     "SOUNDING-FAR-IN-TIME",
-    means="The nearest sounding is many hours away from the flight.",
+    means="A sounding is many hours away from the flight.",
     effect="It has less weight for this reason.",
     remedy="Give one of the time of the flight.",
 )
@@ -619,7 +619,7 @@ def sounding_far_in_time(*, where: str, hours: float, doubt: str) -> Message:
     """A sounding is many hours from the flight, or the stated date is wrong (``doubt``)."""
     return warning(
         SOUNDING_FAR_IN_TIME,
-        "the nearest sounding is {hours:.0f} hours away from the flight{doubt}",
+        "the sounding is {hours:.0f} hours away from the flight{doubt}",
         where=where,
         hours=hours,
         doubt=doubt,
