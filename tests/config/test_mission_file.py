@@ -758,7 +758,8 @@ ORIENTATIONS = yaml.safe_load("""
   - 'no vertical, no north and no scale'
 - ['{frame: unknown, angles: quaternion, known_positions: log}', not columns.latitude]
 - ['{angles: quaternion, frame: ecef}', 'convergence_deg is for frame: geographic']
-- ['{frame: projected, crs: "EPSG:32632", convergence_deg: 0.0}', 'convergence_deg is for frame: geographic']
+- - '{frame: projected, crs: "EPSG:32632", convergence_deg: 0.0}'
+  - 'convergence_deg is for frame: geographic'
 - ['frame: projected', projected needs crs]
 - ['date: 14.5.2026', not a date like]
 - ['columns: {time_utc: t}', 'either date, or the columns of time']
