@@ -28,7 +28,7 @@ from unbend.config.reading import folder_of
 from unbend.errors import StorageError, storage_errors
 from unbend.messages import Ledger, MessageRecord
 from unbend.refraction.effect import FlightAir
-from unbend.report.flown import Flown, flown_of
+from unbend.report.figure_data import Flown, flown_of
 from unbend.report.progress import Progress
 from unbend.report.report_page import write_report
 from unbend.stages.correction import correct_counted
