@@ -179,13 +179,13 @@ def _notes_of_sounding(sounding: Sounding, flight: TimeAndPlace) -> Iterator[Mes
     if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
         yield messages.sounding_unplaced(where=name, km=UNPLACED_M / 1e3)
     if metres > FAR_M:
-        worth = "it has no information on its air"
+        consequence = "it has no information on its air"
         if metres <= MOST_METRES:
             parts = variation_parts(flight.latitude_rad, SPRING, ground_h_m=0.0)
             change = changes(parts, 0.0, metres)
             kelvin = sigma_of(change, np.array([FAR_SHOWN_M]))[0]
-            worth = f"temperatures are {kelvin:.1f} K less certain because of this"
-        yield messages.sounding_far_away(where=name, km=metres / 1e3, worth=worth)
+            consequence = f"temperatures are {kelvin:.1f} K less certain because of this"
+        yield messages.sounding_far_away(where=name, km=metres / 1e3, consequence=consequence)
 
 
 def _notes_of_report(report: SurfaceReport, flight: TimeAndPlace) -> Iterator[Message]:
