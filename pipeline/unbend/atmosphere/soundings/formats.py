@@ -278,7 +278,7 @@ _OF_DATE = re.compile(r"date")
 
 
 def _refuse_other_times(columns: Columns, where: str) -> None:
-    """Refuse (InputError SOUNDING-TIME) a table without ``time_utc`` that states its time elsewhere.
+    """Refuse (InputError SOUNDING-TIME) a time in another column where ``time_utc`` has none.
 
     A column of plain numbers passes, as seconds since launch, unless its name contains ``date``.
     """

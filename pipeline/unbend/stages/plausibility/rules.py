@@ -303,7 +303,7 @@ def extent_of_observations(facts: Facts) -> Findings:
 
 
 def likely_cause_of_pixels_outside(x: Array, y: Array, width: int, height: int) -> str:
-    """Why coordinates (x, y) likely lie outside an image of this width and height [px], in words."""
+    """Why measurements likely lie outside an image of this width and height [px], in words."""
     if x.min() < BEHIND_CENTRE * width and y.min() < BEHIND_CENTRE * height:
         return "measured from the centre of the image, not from its upper left corner"
     if x.max() <= height and y.max() <= width:
