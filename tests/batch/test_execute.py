@@ -41,6 +41,11 @@ def missions_named(*names) -> list[MissionRef]:
     return [MissionRef(Path(f"{name}.yaml")) for name in names]
 
 
+def test_the_receipt_of_a_receipt_keeps_the_fingerprint():
+    receipt = Outcome("a", Path("a"), None, 3, True, fingerprint="5eed")
+    assert receipt.receipt() == receipt
+
+
 def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
     begun = []
 

@@ -71,6 +71,8 @@ def test_the_air_of_a_mission(unbend, baseline, obeyed):
 IMPOSSIBLE = yaml.safe_load("""
 - ['--distance 4000', ANGLE-ARGUMENTS]
 - ['--nadir-angle 45 --csv a.csv', ANGLE-ARGUMENTS]
+- ['--nadir-angle 45 --max-angle 60', ANGLE-ARGUMENTS]
+- ['--nadir-angle 45 --step 5', ANGLE-ARGUMENTS]
 - ['--atmosphere us1976 --config a.yaml', PROFILE-ARGUMENTS]
 - ['--atmosphere us1967', ATMOSPHERE-NAME]
 - ['--config nowhere.yaml', CONFIG-MISSING]

@@ -11,7 +11,7 @@ from tests.helpers import refused
 from unbend.batch.object_store import is_url
 from unbend.config import Mission
 from unbend.config.campaign import Campaign, MissionRef, open_configs
-from unbend.config.defaults import LEADING, WHOLE, merged
+from unbend.config.campaign_defaults import LEADING, WHOLE, merged
 from unbend.config.schema import alternatives, campaign_schema, mission_schema, nodes_at
 from unbend.errors import ConfigError, UnbendError
 

@@ -66,6 +66,23 @@ ATMOSPHERE = '''def _toy(place: SeasonAndPlace, index: IndexModel) -> Profile:
 
 ATMOSPHERES: dict'''
 
+SOUNDING = '''
+"""A toy: a line a level, with height [m], pressure [Pa] and temperature [K]."""
+
+import numpy as np
+
+from unbend.atmosphere.soundings.levels import RawLevels
+
+
+def is_toy(text):
+    return text.startswith("levels of a toy")
+
+
+def parse_toy(text, where):
+    h_m, pressure_pa, temperature_k = np.loadtxt(text.splitlines()[1:], delimiter=",").T
+    return [RawLevels(h_m, pressure_pa, temperature_k, origin="toy", where=where)]
+'''
+
 CAMERA_MODEL = '''
 """A toy: one radial coefficient."""
 
@@ -227,6 +244,22 @@ THINGS = {
             "pipeline/unbend/refraction/published/__init__.py": (
                 ("\nPUBLISHED", "from unbend.refraction.published.toy import toy\n\nPUBLISHED"),
                 ('    "manual": manual,\n', '    "manual": manual,\n    "toy": toy,\n'),
+            )
+        },
+    ),
+    "sounding format": Thing(
+        {"pipeline/unbend/atmosphere/soundings/toy.py": SOUNDING},
+        {
+            "pipeline/unbend/atmosphere/soundings/formats.py": (
+                (
+                    "from unbend.atmosphere.soundings.wyoming import (",
+                    "from unbend.atmosphere.soundings.toy import is_toy, parse_toy\n"
+                    "from unbend.atmosphere.soundings.wyoming import (",
+                ),
+                (
+                    '    "csv": (is_plain, parse_plain),\n',
+                    '    "csv": (is_plain, parse_plain),\n    "toy": (is_toy, parse_toy),\n',
+                ),
             )
         },
     ),
@@ -428,6 +461,21 @@ def test_a_refraction_method(copy):
     assert "toy" in copy.unbend("angle", "--help")
     copy.unbend("tables", "accuracy", "--out", "page.md")
     assert "`toy` minus `spherical`" in (copy.folder / "page.md").read_text(encoding="utf-8")
+
+
+def test_a_sounding_format(copy):
+    rows = ["levels of a toy"]
+    for h_m in range(0, 5000, 500):
+        pressure_pa = 101_325.0 * (1.0 - 2.25577e-5 * h_m) ** 5.25588
+        rows.append(f"{h_m},{pressure_pa},{288.15 - 0.0065 * h_m}")
+    (copy.folder / "ascent.txt").write_text("\n".join(rows) + "\n")
+    shown = json.loads(copy.unbend("inspect", "ascent.txt", "--json"))
+    assert (shown["kind"], shown["format"]) == ("sounding", "toy")
+    code = (
+        "from unbend.config.atmosphere import SoundingSection\n"
+        "print(SoundingSection(path='ascent.txt', format='toy').format)"
+    )
+    assert "toy" in copy.python(code)
 
 
 def test_a_camera_model(copy):

@@ -11,7 +11,7 @@ import pyproj
 import pytest
 
 from unbend.report.cover import PROCESSED, cover_rows, css_text, time_of_processing
-from unbend.report.flown import metric_grid, track_of_camera
+from unbend.report.figure_data import metric_grid, track_of_camera
 from unbend.report.map_grid_lines import grid_lines
 
 from .manifests import manifest_of

@@ -18,7 +18,7 @@ from unbend.flight.ground_times import LoggedPath
 from unbend.flight.stations import empty_stations
 from unbend.refraction.camera.camera import Camera
 from unbend.report.air_curves import air_curves
-from unbend.report.flown import Flown, flown_of
+from unbend.report.figure_data import Flown, flown_of
 from unbend.report.report_page import report_page
 
 from .manifests import manifest_of

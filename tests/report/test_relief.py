@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from unbend.report.flown import relief_of
+from unbend.report.figure_data import relief_of
 
 LIMITS_DEG = (10.0, 10.02, 59.995, 60.005)  # west, east, south, north
 EAST_M = 55_600.0  # a degree at 60 degrees of latitude

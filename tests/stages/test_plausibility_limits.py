@@ -368,7 +368,7 @@ def test_many_observations_fill_their_image(number, pixel, mistake):
     ],
 )
 def test_what_pixels_outside_likely_are(x_px, y_px, words):
-    likely = rules.likely_extent(np.array(x_px), np.array(y_px), 4000, 3000)
+    likely = rules.likely_cause_of_pixels_outside(np.array(x_px), np.array(y_px), 4000, 3000)
     assert words in likely
 
 

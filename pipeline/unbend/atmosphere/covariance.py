@@ -22,9 +22,9 @@ RAY_STEPS = 200  # trapezia of the plane integral: 1e-5 of R over 10 km
 # Central differences of eighth order of the index formula itself, so that a new one is still one
 # function. Its poles in T, p and e/p are far away: with long steps derivatives keep 13 digits.
 _STENCIL = np.array([4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0])
-_TEMPERATURE_STEP = 0.007  # of T
-_PRESSURE_STEP = 0.05  # of p
-_VAPOUR_STEP = 0.05  # of e/p
+_TEMPERATURE_STEP = 0.007  # relative, of T
+_PRESSURE_STEP = 0.05  # relative, of p
+_VAPOUR_STEP = 0.05  # absolute, in e/p
 
 
 def air_jacobian(
@@ -109,16 +109,19 @@ def _index_partials(
     index: IndexModel,
     t: Array,
     p: Array,
-    vapour: Array,
+    vapour_share: Array,
 ) -> tuple[Array, Array, Array]:
-    """dN/dT [1/K], dN/d ln p and dN/d(e/p), each with the other two of T, p and e/p held."""
+    """dN/dT [1/K], dN/d ln p and dN/d(e/p), each with the other two of T, p and e/p held.
+
+    ``vapour_share`` is e/p.
+    """
     steps = np.append(np.arange(-4.0, 0.0), np.arange(1.0, 5.0))[:, None]
     temperatures = t * (1.0 + _TEMPERATURE_STEP * steps)
     pressures = p * (1.0 + _PRESSURE_STEP * steps)
-    fractions = vapour + _VAPOUR_STEP * steps
+    fractions = vapour_share + _VAPOUR_STEP * steps
 
-    by_temperature = index.refractivity(temperatures, p, vapour * p)
-    by_pressure = index.refractivity(t, pressures, vapour * pressures)
+    by_temperature = index.refractivity(temperatures, p, vapour_share * p)
+    by_pressure = index.refractivity(t, pressures, vapour_share * pressures)
     by_fraction = index.refractivity(t, p, fractions * p)
     return (
         _central_difference(by_temperature, _TEMPERATURE_STEP) / t,

@@ -14,7 +14,8 @@ from unbend.atmosphere import messages
 from unbend.units import HECTOPASCAL, VAPOUR_DEFICIT, ZERO_CELSIUS_K, Array
 
 DEFAULT_WAVELENGTH_M = 0.55e-6
-DEFAULT_CO2_PPM = 450.0
+STANDARD_AIR_CO2_PPM = 450.0  # of Ciddor's standard air
+DEFAULT_CO2_PPM = STANDARD_AIR_CO2_PPM
 
 
 def refractivity_gyer(
@@ -161,7 +162,7 @@ def refractivity_ciddor(
 
     sigma2 = (1e-6 / wavelength_m) ** 2  # [um-2]
     standard_air = 1e-8 * (5792105.0 / (238.0185 - sigma2) + 167917.0 / (57.362 - sigma2))
-    carbonic_air = standard_air * (1.0 + 0.534e-6 * (co2_ppm - 450.0))
+    carbonic_air = standard_air * (1.0 + 0.534e-6 * (co2_ppm - STANDARD_AIR_CO2_PPM))
     standard_vapour = 1.022e-8 * (
         295.235 + 2.6422 * sigma2 - 0.032380 * sigma2**2 + 0.004028 * sigma2**3
     )

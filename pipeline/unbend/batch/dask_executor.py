@@ -92,13 +92,15 @@ class DaskExecutor:
         Refuses before any work a scheduler that does not answer or has no workers, and workers with
         other versions or without the mission files; SCHEDULER-LOST where the scheduler goes away.
         """
-        # The main thread waits for nothing but these ends, so that a signal leaves no lock behind.
+        # A signal raises in the main thread. Inside the client it could leave one of the client's
+        # locks taken for ever. So another thread has the client, and the main thread waits for a
+        # SimpleQueue, which has no lock in Python.
         ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception] = SimpleQueue()
-        ended_futures: SimpleQueue[Any] = SimpleQueue()  # None in it ends the thread
+        ended_or_stop: SimpleQueue[Any] = SimpleQueue()  # futures that ended; None: to stop
 
         def serve() -> None:
             try:
-                self._serve(tasks, ends, ended_futures)
+                self._serve(tasks, ends, ended_or_stop)
             except (OSError, CancelledError) as error:
                 text = str(error) or type(error).__name__
                 ends.put(messages.scheduler_lost(address=self._scheduler, error=text))
@@ -114,19 +116,19 @@ class DaskExecutor:
                     raise end
                 yield end
         finally:
-            ended_futures.put(None)
-            with held_back():
+            ended_or_stop.put(None)
+            with held_back():  # a signal in `join` could leave the thread's own lock taken
                 thread.join(_STOP_S)
 
     def _serve(
         self,
         tasks: Mapping[MissionRef, Task],
         ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception],
-        ended_futures: SimpleQueue[Any],
+        ended_or_stop: SimpleQueue[Any],
     ) -> None:
         """Hand all missions to the workers, and put how each ended into ``ends``.
 
-        Returns when all have ended, or when None is put into ``ended_futures``. A mission whose
+        Returns when all have ended, or when None is put into ``ended_or_stop``. A mission whose
         worker died is submitted again, a few times.
         """
         try:
@@ -142,7 +144,7 @@ class DaskExecutor:
                 make_task=lambda mission: pickle.dumps(partial(run_here, versions, tasks[mission])),
                 command=command,
                 ends=ends,
-                ended_futures=ended_futures,
+                ended_or_stop=ended_or_stop,
                 worker_died=distributed.KilledWorker,
             )
             handout.serve(list(tasks))
@@ -154,7 +156,7 @@ class _Handout:
 
     make_task : the pickled task of a mission.
     ends : into which it is put how each mission ended.
-    ended_futures : into which Dask puts futures that ended; None in it ends the service.
+    ended_or_stop : into which Dask puts futures that ended; None in it ends the service.
     worker_died : the error of a future whose workers died.
     waiting : by its key, each mission that has not ended.
     """
@@ -163,7 +165,7 @@ class _Handout:
     make_task: Callable[[MissionRef], bytes]
     command: str
     ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception]
-    ended_futures: SimpleQueue[Any]
+    ended_or_stop: SimpleQueue[Any]
     worker_died: type[Exception]
     waiting: dict[str, _Submitted] = field(default_factory=dict)
 
@@ -173,7 +175,7 @@ class _Handout:
             self._submit(mission, times=1)
         while self.waiting:
             try:
-                ended = self.ended_futures.get(timeout=_LOOK_S)
+                ended = self.ended_or_stop.get(timeout=_LOOK_S)
             except Empty:
                 self._replace_lost()
                 continue
@@ -189,7 +191,7 @@ class _Handout:
         task = self.make_task(mission)
         future = self.client.submit(run_apart, self.command, task, pure=False, workers=workers)
         self.waiting[future.key] = _Submitted(mission, future, times)
-        future.add_done_callback(self.ended_futures.put)
+        future.add_done_callback(self.ended_or_stop.put)
 
     def _put_end(self, key: str) -> None:
         """Put how a mission ended; one whose worker died is handed out again, a few times."""

@@ -43,14 +43,17 @@ class Outcome:
         return f"<Outcome {self.name}: exit code {self.exit_code}{again}, {self.output}>"
 
     def receipt(self) -> Outcome:
-        """The outcome without its manifest, whose fingerprint stays."""
+        """The outcome without its manifest, whose fingerprint stays; a receipt stays as it is."""
+        fingerprint = self.fingerprint
+        if self.manifest is not None:
+            fingerprint = self.manifest.run.fingerprint
         return Outcome(
             name=self.name,
             output=self.output,
             manifest=None,
             exit_code=self.exit_code,
             repeated=self.repeated,
-            fingerprint="" if self.manifest is None else self.manifest.run.fingerprint,
+            fingerprint=fingerprint,
         )
 
 

@@ -28,15 +28,15 @@ from unbend.config.reading import folder_of
 from unbend.errors import StorageError, storage_errors
 from unbend.messages import Ledger, MessageRecord
 from unbend.refraction.effect import FlightAir
-from unbend.report.flown import Flown, flown_of
+from unbend.report.figure_data import Flown, flown_of
 from unbend.report.progress import Progress
 from unbend.report.report_page import write_report
 from unbend.stages.correction import correct_counted
 from unbend.stages.correction_setup import CorrectionSetup
-from unbend.stages.light import in_light, require_wavelengths
 from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
+from unbend.stages.wavelengths import in_light, require_wavelengths
 from unbend.tables.manifest.file_names import REPORT
 from unbend.tables.manifest.whole import Manifest
 

@@ -29,7 +29,7 @@ from unbend.batch.remote import is_url
 from unbend.batch.store import STAGING, find_damage, read_manifest
 from unbend.config import Mission
 from unbend.config.campaign import MissionRef
-from unbend.config.defaults import merged
+from unbend.config.campaign_defaults import merged
 from unbend.tables.manifest.run import InputRecord
 from unbend.tables.manifest.whole import Manifest
 

@@ -78,15 +78,15 @@ class Pairs:
     after: Array  # of all that comes after, where it is the last one
     low: Integers  # (c, k) the first event of w
 
-    def reversed_from(self, events: int) -> Pairs:
-        """The same, counted from the end."""
+    def reversed_from(self, event_count: int) -> Pairs:
+        """The same, with images and events counted from the last one."""
         width = self.weight.shape[2]
-        last = self.low[:, ::-1] + width
+        first_behind = self.low[:, ::-1] + width  # the first event behind those of w
         return Pairs(
             weight=self.weight[:, ::-1, ::-1],
             before=self.after[:, ::-1, ::-1],
             after=self.before[:, ::-1, ::-1],
-            low=events - last,
+            low=event_count - first_behind,
         )
 
 
@@ -344,7 +344,7 @@ class Axis:
         Of a pulse and its repeats it is the first that is not 1000 times less likely than the best.
         """
         pairs = self.pairs(clock[None], shares)
-        log_p = self.pair_probabilities(pairs, shares)
+        log_p = self.log_pair_probabilities(pairs, shares)
         low = pairs.low[0]
         best = np.argmax(log_p, axis=1)
         highest = np.max(log_p, axis=1)
@@ -371,14 +371,18 @@ class Axis:
         pulse_of_best = np.take_along_axis(pulse, best[:, None], axis=1)
         return np.asarray(pulse == pulse_of_best, np.bool_)
 
-    def pair_probabilities(self, pairs: Pairs, shares: Shares) -> Array:
-        """(k, w) log probability of each pair under the one clock (forward-backward algorithm)."""
-        ending = likelihoods_of_endings(pairs, shares)
+    def log_pair_probabilities(self, pairs: Pairs, shares: Shares) -> Array:
+        """(k, w) logarithm of the probability of each pair (forward-backward algorithm).
+
+        The pairs are those of one clock. Pairs out of reach have -inf.
+        """
+        log_up_to_pair = likelihoods_of_endings(pairs, shares)
         from_end = likelihoods_of_endings(pairs.reversed_from(self.events.size), shares)
-        beginning = from_end[:, ::-1, ::-1]
-        joint = (ending + beginning - pairs.weight)[0]
+        log_from_pair_on = from_end[:, ::-1, ::-1]
+        log_joint = log_up_to_pair + log_from_pair_on - pairs.weight  # which is in both
+        log_of_all = logsumexp(log_up_to_pair + pairs.after)
+        log_p = log_joint[0] - log_of_all  # one hypothesis: c = 1
         in_reach = pairs.weight[0] > NEVER / 2
-        log_p = joint - logsumexp(ending + pairs.after)
         return np.where(in_reach, log_p, -np.inf)
 
 
@@ -427,11 +431,11 @@ def price_of_events_outside(count: Integers, shares: Shares) -> Array:
 
 
 def likelihoods_of_endings(pairs: Pairs, shares: Shares) -> Array:
-    """(c, k, w) log likelihood of all alignments that end with a pair (forward algorithm).
+    """(c, k, w) log likelihood of all alignments up to and with each pair (forward algorithm).
 
-    ``ended`` are alignments up to an image and an event that end with a pair or with images without
-    events, ``run`` the same with events without images behind; of what lies left of the window only
-    their sum is kept, in the first place.
+    From image to image two sums of alignments are carried on, for each place of the window: those
+    that end with a pair or with images without events, and the same with events without images
+    behind. Of what lies left of the window only the sum is kept, in the first place.
     """
     log_image = np.log(shares.images)
     log_event = np.log(shares.events)
@@ -439,8 +443,8 @@ def likelihoods_of_endings(pairs: Pairs, shares: Shares) -> Array:
     place = np.arange(width + 1)
     clock = np.arange(count)[:, None]
     endings = np.empty_like(pairs.weight)
-    ended = np.full((count, width + 1), NEVER)
-    run = ended
+    ended = np.full((count, width + 1), NEVER)  # with a pair, or images without events
+    run = ended  # with events without images behind
     low = pairs.low[:, 0]
     for i in range(images):
         moved = pairs.low[:, i] - low

@@ -113,9 +113,11 @@ class Intersection:
         """(p,) what the sigmas of stations and pixels predict for the heights of the points."""
         _, up = heights_and_verticals(self.position_m)
         up = np.nan_to_num(up)
+        # half_inverse is L^-1 of a point's normal equations N = L L': (L^-1 up)^2 = up' N^-1 up.
         step = np.einsum("pij,pj->pi", self.system.half_inverse, up)
         points = self.point.size
         step_of_points = block_matrix(step[:, None, :], np.arange(points), points)
+        # Z carries errors of the stations to the points, in units of L^-1.
         by_stations = step_of_points @ self.system.Z
         squares = by_stations.multiply(by_stations)
         station_variance = np.asarray(squares.sum(1))[:, 0]

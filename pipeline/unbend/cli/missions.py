@@ -408,7 +408,7 @@ def print_weather_model(answer: Answer, path: Path) -> bool:
 def print_weather(answer: Answer, path: Path) -> bool:
     """Print how a sounding or a text of METARs is read; False for a file that is neither."""
     from unbend.ingest.registry import is_log
-    from unbend.tables.weather_reading import reading_of_weather
+    from unbend.tables.inspected_readings import reading_of_weather
 
     reading = None if is_log(path) else reading_of_weather(path)
     if reading is None:

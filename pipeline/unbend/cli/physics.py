@@ -1,5 +1,6 @@
 """Commands on the atmosphere and on rays through it."""
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +19,8 @@ DEFAULT_ATMOSPHERE = "us1976"
 DEFAULT_METHOD = "spherical"
 DEFAULT_INDEX = "ciddor"
 ACCURACY = "accuracy"  # stands for a paper: all published methods compared
+LARGEST_ANGLE_DEG = 60.0  # of a table of angles, by default
+STEP_DEG = 5.0  # between its rows, by default
 
 
 def _methods() -> list[str]:
@@ -60,6 +63,14 @@ MissionOfTable = Annotated[
     Path | None,
     Option(help="of a table: a mission file, for the air of its flight"),
 ]
+MaxAngle = Annotated[
+    float | None,
+    Option(help="of a table: largest nadir angle, degrees, by default 60"),
+]
+StepOfTable = Annotated[
+    float | None,
+    Option(min=0.01, help="of a table: degrees between rows, by default 5"),
+]
 CameraOfMission = Annotated[
     str | None,
     Option(help="with --config: the name of the camera that gives the wavelength"),
@@ -99,8 +110,8 @@ def angle(
     config: MissionOfTable = None,
     camera: CameraOfMission = None,
     focal_px: Annotated[float | None, Option(help="of a table: principal distance, pixels")] = None,
-    max_angle: Annotated[float, Option(help="of a table: largest nadir angle, degrees")] = 60.0,
-    step: Annotated[float, Option(min=0.01, help="of a table: degrees between rows")] = 5.0,
+    max_angle: MaxAngle = None,
+    step: StepOfTable = None,
     csv: Annotated[Path | None, Option(help="of a table: write the rows as CSV")] = None,
 ) -> None:
     """One refraction angle, or a table of them by nadir angle.
@@ -126,26 +137,28 @@ def angle(
             radius=radius,
             csv=csv,
         )
-    refuse_options_of_table(camera_height, config, camera, focal_px, csv)
-    with answer.progress("tracing the ray"):
-        from unbend.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
-        from unbend.refraction.angle import one_angle
-        from unbend.report.air_and_rays import print_angle
+    else:
+        options_of_table = (config, camera, focal_px, max_angle, step, csv)
+        refuse_options_of_table(camera_height, options_of_table)
+        with answer.progress("tracing the ray"):
+            from unbend.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
+            from unbend.refraction.angle import one_angle
+            from unbend.report.air_and_rays import print_angle
 
-        if wavelength is None:
-            wavelength = DEFAULT_WAVELENGTH_M
-        result = one_angle(
-            atmosphere=atmosphere or DEFAULT_ATMOSPHERE,
-            index=IndexModel(index, wavelength),
-            camera_height=camera_height[0],
-            ground_height=ground_height,
-            nadir_angle=nadir_angle,
-            radius=radius,
-            method=method,
-            distance=distance,
-        )
-    answer.print_json(result)
-    print_angle(answer.console, result)
+            if wavelength is None:
+                wavelength = DEFAULT_WAVELENGTH_M
+            result = one_angle(
+                atmosphere=atmosphere or DEFAULT_ATMOSPHERE,
+                index=IndexModel(index, wavelength),
+                camera_height=camera_height[0],
+                ground_height=ground_height,
+                nadir_angle=nadir_angle,
+                radius=radius,
+                method=method,
+                distance=distance,
+            )
+        answer.print_json(result)
+        print_angle(answer.console, result)
 
 
 def refuse_options_of_one_angle(method: str, index: str, distance: float | None) -> None:
@@ -154,18 +167,12 @@ def refuse_options_of_one_angle(method: str, index: str, distance: float | None)
         raise messages.angle_options(options="--method, --index, --distance", other="one angle")
 
 
-def refuse_options_of_table(
-    camera_heights: list[float],
-    config: Path | None,
-    camera: str | None,
-    focal_px: float | None,
-    csv: Path | None,
-) -> None:
-    """Refuse (ANGLE-ARGUMENTS) what one angle cannot have."""
-    of_table = (config, camera, focal_px, csv)
+def refuse_options_of_table(camera_heights: list[float], of_table: Iterable[object]) -> None:
+    """Refuse (ANGLE-ARGUMENTS) what one angle cannot have; options not given are None."""
     if len(camera_heights) > 1 or any(value is not None for value in of_table):
         raise messages.angle_options(
-            options="several heights, --config, --camera, --focal-px, --csv", other="a table"
+            options="several heights, --config, --camera, --focal-px, --max-angle, --step, --csv",
+            other="a table",
         )
 
 
@@ -179,8 +186,8 @@ def print_table_of_angles(
     camera: str | None,
     wavelength: float | None,
     focal_px: float | None,
-    max_angle: float,
-    step: float,
+    max_angle: float | None,
+    step: float | None,
     radius: float,
     csv: Path | None,
 ) -> NoReturn:
@@ -188,6 +195,10 @@ def print_table_of_angles(
     if config is None and atmosphere is None:
         atmosphere = DEFAULT_ATMOSPHERE
     require_one_atmosphere(config, atmosphere)  # refuses both
+    if max_angle is None:
+        max_angle = LARGEST_ANGLE_DEG
+    if step is None:
+        step = STEP_DEG
     if camera is not None and config is None:
         raise messages.angle_options(options="--camera", other="a mission file (--config)")
     with answer.progress("estimating the air"):

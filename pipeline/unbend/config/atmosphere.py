@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from unbend.atmosphere import standard_names
 from unbend.atmosphere.estimate.sensors import SensorCalibration
 from unbend.atmosphere.estimate.state import SensorFault
+from unbend.atmosphere.refractive_index import DEFAULT_CO2_PPM, DEFAULT_WAVELENGTH_M
 from unbend.atmosphere.soundings.formats import FORMATS
 from unbend.atmosphere.standard import known_names
 from unbend.config.dates import StatedTime, nanoseconds_of_time
@@ -437,7 +438,7 @@ class AtmosphereSection(Section):
         examples=["ciddor"],
     )
     wavelength_m: float = Field(
-        0.55e-6,
+        DEFAULT_WAVELENGTH_M,
         ge=0.3e-6,
         le=1.7e-6,
         description="wavelength of the light in vacuum, for cameras without their own wavelength",
@@ -445,7 +446,7 @@ class AtmosphereSection(Section):
         json_schema_extra={"unit": "m"},
     )
     co2_ppm: float = Field(
-        450.0,
+        DEFAULT_CO2_PPM,
         ge=0,
         le=2000,
         description="carbon dioxide content of the air",

@@ -15,8 +15,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from unbend.config import messages
+from unbend.config.campaign_defaults import merged
 from unbend.config.campaign_file import CampaignFile
-from unbend.config.defaults import merged
 from unbend.config.mission_file import Mission
 from unbend.config.reading import mission_of, refusal_of
 from unbend.config.schema import PATH, alternatives, nodes_at

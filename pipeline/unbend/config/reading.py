@@ -8,7 +8,7 @@ import yaml
 from pydantic import ValidationError
 
 from unbend.config import messages
-from unbend.config.defaults import merged
+from unbend.config.campaign_defaults import merged
 from unbend.config.mission_file import Mission
 from unbend.config.mistakes import MOST_REFUSED, MOST_SENTENCES, sentences_of
 from unbend.config.yaml_text import open_questions, read_yaml

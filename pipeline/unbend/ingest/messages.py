@@ -400,10 +400,8 @@ def too_many_series(*, file: str, count: int, most: int) -> Message:
     """The log has more topics, senders or instances than channels are made of."""
     return loss(
         LOG_TOO_LARGE,
-        "{count} messages are of other topics, senders or instances than the first {most}: their "
-        "values are not read",
-        one="1 message is of another topic, sender or instance than the first {most}: its values "
-        "are not read",
+        "{count} messages are not read: the log has more than {most} topics, senders and instances",
+        one="1 message is not read: the log has more than {most} topics, senders and instances",
         where=file,
         count=count,
         most=most,

@@ -135,7 +135,11 @@ def vehicles_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
 
 
 def receivers_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
-    """Each receiver of a log: its vehicle, what it is good for, and why."""
+    """Each receiver of a log: its vehicle, what it is good for, and why.
+
+    With several vehicles each receiver is of one of them, because a sender of positions is a
+    vehicle (`Vehicles.of`). A receiver of none would be left out.
+    """
     vehicles = Vehicles.of(channels)
     rows = []
     for name in vehicles.names or ("",):  # "": a log of one vehicle does not name it

@@ -115,7 +115,7 @@ def print_rows(
 
 
 class TableColumn(NamedTuple):
-    """A column of a printed table; see ``columns.toml``.
+    """A column of a printed table; see ``printed_columns.toml``.
 
     ``name`` is the key of a row, ``unit`` what one unit of the column is in the unit of the row,
     ``digits`` a format, or ``sigma``: two decimals, one for large values.
@@ -132,8 +132,8 @@ Columns = Sequence[TableColumn]
 
 @cache
 def columns_of(name: str) -> Columns:
-    """The columns of a table in ``columns.toml``."""
-    text = (files("unbend.report") / "data/columns.toml").read_text("utf-8")
+    """The columns of a table in ``printed_columns.toml``."""
+    text = (files("unbend.report") / "data/printed_columns.toml").read_text("utf-8")
     tables = tomllib.loads(text)
     return [TableColumn(*column) for column in tables[name]]
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from zoneinfo import ZoneInfo
 
-from unbend.report.flown import Flown
+from unbend.report.figure_data import Flown
 from unbend.tables.manifest.whole import Manifest
 
 PROCESSED = "<!-- processed -->"

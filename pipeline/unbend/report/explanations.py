@@ -48,7 +48,11 @@ class Meaning(NamedTuple):
 @cache
 def meanings() -> Mapping[str, Mapping[str, Meaning]]:
     """Of ``codes`` of refusals and of the ledger, ``exit`` codes, and statuses."""
-    text = resources.files(__package__).joinpath("exit_codes_and_statuses.toml").read_text("utf-8")
+    text = (
+        resources.files(__package__)
+        .joinpath("data/exit_codes_and_statuses.toml")
+        .read_text("utf-8")
+    )
     meanings_of: dict[str, dict[str, Meaning]] = {"codes": {}}
     for kind, entries in tomllib.loads(text).items():
         meanings_of[kind] = {word: Meaning(**entry) for word, entry in entries.items()}
@@ -78,8 +82,8 @@ class Word:
 
 @cache
 def glossary() -> tuple[Word, ...]:
-    """The words of ``glossary.toml``."""
-    text = resources.files(__package__).joinpath("glossary.toml").read_text("utf-8")
+    """The words of ``data/glossary.toml``."""
+    text = resources.files(__package__).joinpath("data/glossary.toml").read_text("utf-8")
     entries = tomllib.loads(text).items()
     return tuple(Word(name, entry["means"], tuple(entry["also"])) for name, entry in entries)
 

@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 from unbend.caches import parsed_templates
 from unbend.report import cover, summary, words
 from unbend.report.air_curves import QUANTITIES
-from unbend.report.flown import Flown, track_of_camera, utc
+from unbend.report.figure_data import Flown, track_of_camera, utc
 from unbend.report.map_grid_lines import grid_lines
 from unbend.report.summary import is_applied, next_steps, remarks, verdict
 from unbend.report.svg_axes import Axes, arrows, field_arrows, map_axes

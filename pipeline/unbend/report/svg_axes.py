@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unbend.report.flown import Limits
+from unbend.report.figure_data import Limits
 from unbend.tables.manifest.results import ShiftField
 from unbend.units import Array, round_step
 

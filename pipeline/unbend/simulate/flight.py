@@ -43,6 +43,10 @@ SLOWEST_M_S = 30.0  # on the ground no climb angle is steep
 ANGLE_OF_ATTACK_RAD = np.radians(1.5)
 VALVE_PA = 150.0  # the cabin's valve closes gradually, so that the truth has no kink
 
+# Sensors are sampled on grids of time. Jitter keeps the exposures from being in step with one.
+JITTER_S = 0.043  # its amplitude; exposures of a line are 9 s apart
+JITTER_STEP_RAD = 7.0  # of its phase, from one exposure to the next: a turn and 41 degrees
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -337,7 +341,7 @@ def _exposure_times(
     distance: Array,
     time: Array,
 ) -> Array:
-    """Times [s] of the exposures, equally spaced along each line.
+    """Times [s] of the exposures, equally spaced along each line but for a jitter.
 
     The camera's clock ticks in whole microseconds, and never in step with the other sensors.
     """
@@ -345,8 +349,9 @@ def _exposure_times(
     first_of_line = np.array(route.line_starts_m) + LINE_MARGIN_M
     shots = np.add.outer(first_of_line, along_line).ravel()
     exposure = np.interp(shots, distance, time)
-    out_of_step = 0.043 * np.sin(7.0 * np.arange(len(shots)))
-    return np.asarray(np.round(exposure + out_of_step, 6))
+    phase = JITTER_STEP_RAD * np.arange(len(shots))
+    jitter = JITTER_S * np.sin(phase)
+    return np.asarray(np.round(exposure + jitter, 6))
 
 
 def _smoothstep(x: Array) -> Array:

@@ -82,10 +82,10 @@ def adjusted_profiles(
     model = sources.model
     if model is not None and not is_used(model, adjustment):
         model = None
-    levels = levels_of_mission(mission, stations, sources)
+    heights = heights_of_mission(mission, stations, sources)
     # A model knows the distance better than the path does: see `add_model_changes`.
     path = sources.path if model is None else None
-    return profiles_in_time(adjustment, stations, levels, model, ledger, path=path)
+    return profiles_in_time(adjustment, stations, heights, model, ledger, path=path)
 
 
 def kept_standard(
@@ -98,14 +98,14 @@ def kept_standard(
     return replace(unadjusted(under_gravity(standard, latitude_rad), why), sources=unused)
 
 
-def levels_of_mission(mission: Mission, stations: Stations, sources: AirSources) -> CameraHeights:
+def heights_of_mission(mission: Mission, stations: Stations, sources: AirSources) -> CameraHeights:
     """The heights between which the rays of a mission run; without stations all at the ground."""
-    level = constant_ground_m(mission)
-    h_g = sources.lowest_h_m if level is None else level
-    heights = stations.h_msl_m[stations.ok]
-    if heights.size == 0:
+    constant_m = constant_ground_m(mission)
+    h_g = sources.lowest_h_m if constant_m is None else constant_m
+    h_c = stations.h_msl_m[stations.ok]
+    if h_c.size == 0:
         return CameraHeights([h_g], h_g)
-    return CameraHeights(np.percentile(heights, [0, 50, 100]).tolist(), h_g)
+    return CameraHeights(np.percentile(h_c, [0, 50, 100]).tolist(), h_g)
 
 
 def is_used(model: ModelAir, adjustment: Adjustment) -> bool:
@@ -116,7 +116,7 @@ def is_used(model: ModelAir, adjustment: Adjustment) -> bool:
 def profiles_in_time(
     adjustment: Adjustment,
     stations: Stations,
-    levels: CameraHeights,
+    heights: CameraHeights,
     model: ModelAir | None,
     ledger: Ledger,
     *,
@@ -129,7 +129,7 @@ def profiles_in_time(
     Exposures without a time, and images without an exposure, get the profile of the middle
     exposure.
     """
-    windows = windows_of_flight(adjustment, levels, model, ledger)
+    windows = windows_of_flight(adjustment, heights, model, ledger)
     whole_flight = TimedProfile(
         adjustment.time_ns,
         adjustment.profile,
@@ -142,15 +142,15 @@ def profiles_in_time(
         is_timed = stations.ok & (stations.time_ns != NO_TIME)
         times_ns = np.where(is_timed, stations.time_ns, middle_ns)
         if windows:
-            series = series_between(windows, times_ns, levels)
+            series = series_between(windows, times_ns, heights)
         if adjustment.samples is not None:
             series = with_ageing(
-                series, adjustment.samples, times_ns, levels, path=path, ledger=ledger
+                series, adjustment.samples, times_ns, heights, path=path, ledger=ledger
             )
         if model is not None:
             is_measured = adjustment.time_ns is not None
             series = with_model_changes(
-                series, model, stations, times_ns, levels, is_measured=is_measured, ledger=ledger
+                series, model, stations, times_ns, heights, is_measured=is_measured, ledger=ledger
             )
         if not windows:  # one covariance is reported: that of the middle exposure, with its age
             middle = int(np.argmin(np.abs(times_ns - middle_ns)))
@@ -159,38 +159,38 @@ def profiles_in_time(
         adjustment.profile,
         adjustment.standard,
         adjustment.covariance,
-        h_c=float(np.median(levels.cameras_m)),
-        h_g=levels.ground_m,
+        h_c=float(np.median(heights.cameras_m)),
+        h_g=heights.ground_m,
     )
     return FlightAir(adjustment, series, windows, effects)
 
 
 def windows_of_flight(
-    adjustment: Adjustment, levels: CameraHeights, model: ModelAir | None, ledger: Ledger
+    adjustment: Adjustment, heights: CameraHeights, model: ModelAir | None, ledger: Ledger
 ) -> tuple[TimeWindow, ...]:
-    """The parts of a flight that are estimated on their own; none where no ray looks down."""
-    looks_down = max(levels.cameras_m) > levels.ground_m + LEAST_HEIGHT_M
-    if not looks_down:
+    """The parts of a flight that are estimated on their own; none without cameras above ground."""
+    is_above_ground = max(heights.cameras_m) > heights.ground_m + LEAST_HEIGHT_M
+    if not is_above_ground:
         return ()
-    windows = ledger.take(estimate_windows(adjustment, levels.cameras_m, levels.ground_m))
+    windows = ledger.take(estimate_windows(adjustment, heights.cameras_m, heights.ground_m))
     if model is None:
         return windows
     return tuple(window_of_model(window, model, adjustment) for window in windows)
 
 
 def series_between(
-    windows: tuple[TimeWindow, ...], times_ns: Integers, levels: CameraHeights
+    windows: tuple[TimeWindow, ...], times_ns: Integers, heights: CameraHeights
 ) -> ProfileSeries:
     """The profiles at the times (s,) of the exposures, between those of the parts of a flight."""
     airs = [window.air for window in windows]
-    return interpolate_series(airs, times_ns, levels.cameras_m, levels.ground_m)
+    return interpolate_series(airs, times_ns, heights.cameras_m, heights.ground_m)
 
 
 def with_ageing(
     series: ProfileSeries,
     samples: AirSamples,
     times_ns: Integers,
-    levels: CameraHeights,
+    heights: CameraHeights,
     *,
     path: FlightPath | None,
     ledger: Ledger,
@@ -203,8 +203,8 @@ def with_ageing(
         series,
         times_ns,
         samples,
-        max(levels.cameras_m),
-        levels.ground_m,
+        max(heights.cameras_m),
+        heights.ground_m,
         path=path,
     )
     return ledger.take(aged)
@@ -215,7 +215,7 @@ def with_model_changes(
     model: ModelAir,
     stations: Stations,
     times_ns: Integers,
-    levels: CameraHeights,
+    heights: CameraHeights,
     *,
     is_measured: bool,
     ledger: Ledger,
@@ -234,8 +234,8 @@ def with_model_changes(
             times_ns,
             latitude_rad,
             longitude_rad,
-            h_c=levels.cameras_m,
-            h_g=levels.ground_m,
+            h_c=heights.cameras_m,
+            h_g=heights.ground_m,
             measured=is_measured,
         )
     )

@@ -33,7 +33,7 @@ from unbend.refraction.window import (
     scheduled_pressure,
 )
 from unbend.stages import messages
-from unbend.stages.light import index_of_rows
+from unbend.stages.wavelengths import index_of_rows
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K, Array, Mask
 
 USUAL_TEMPERATURE_K = 294.15  # 21 degC

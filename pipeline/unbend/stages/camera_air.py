@@ -26,7 +26,7 @@ from unbend.refraction.lens_air import (
 )
 from unbend.refraction.window import Window
 from unbend.stages import messages
-from unbend.stages.light import index_of_rows
+from unbend.stages.wavelengths import index_of_rows
 from unbend.tables.manifest.results import CameraAirRecord, FlownCamera
 from unbend.units import PPM, Array, Mask
 

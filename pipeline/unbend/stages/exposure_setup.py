@@ -22,7 +22,7 @@ from unbend.stages import messages
 from unbend.stages.camera_air import air_at_camera, report_lenses
 from unbend.stages.correction_setup import CorrectionSetup, Ground
 from unbend.stages.ground_heights import GivenGround, SlantRangeGround
-from unbend.stages.light import index_of_rows
+from unbend.stages.wavelengths import index_of_rows
 from unbend.units import HECTOPASCAL, Array, Mask
 
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from unbend.atmosphere.estimate.external_readings import FAR_M, TimeAndPlace
+from unbend.atmosphere.estimate.external_readings import WARN_SOUNDING_M, TimeAndPlace
 from unbend.atmosphere.soundings import Sounding
 from unbend.config import Mission
 from unbend.messages import Ledger, Message
@@ -44,7 +44,7 @@ def zone_findings(
         return
     number, hemisphere = zone
     away_m = nearest_m(soundings, flight)
-    if not FAR_M < away_m < math.inf:
+    if not WARN_SOUNDING_M < away_m < math.inf:
         return
     for step in (-1, 1):
         longitude_rad = flight.longitude_rad + step * ZONE_WIDTH_RAD

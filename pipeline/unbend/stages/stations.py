@@ -274,10 +274,12 @@ def stations_of_mission(
 def findings_of_exposures(
     mission: Mission, flight: FlightLog, builder: StationBuilder, events: Events
 ) -> Iterator[Message]:
-    """Findings where the places that a log itself states of its exposures are not the stations'."""
+    """Findings where the log's own exposure positions differ from the stations'."""
     if mission.events is None or mission.events.log is None:
         return
     source = mission.events.log[builder.camera]
+    # The log may give the places of its antenna (the mount's arm away from the camera), or of the
+    # camera itself (the arm of the positions that the stations are made of): the longer arm counts.
     arms_m = [mission.mounts[builder.camera].lever_arm_m, builder.mount.lever_arm_m]
     yield from exposure_findings(
         ExposureEvidence(

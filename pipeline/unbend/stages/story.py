@@ -22,7 +22,6 @@ from unbend.stages.exchanged_sensors import exchanged_sensors
 from unbend.stages.exposure_setup import correction_setup
 from unbend.stages.flight_log import FlightLog, flight_log
 from unbend.stages.ground_heights import elevation_of_mission, with_terrain
-from unbend.stages.light import air_by_camera
 from unbend.stages.multi_image.control import compare_control
 from unbend.stages.multi_image.point_heights import (
     check_object_points,
@@ -42,6 +41,7 @@ from unbend.stages.results import results_of_mission
 from unbend.stages.stations import stations_of_mission
 from unbend.stages.statistics import Statistics
 from unbend.stages.uncertainty import TYPICAL_ROWS, report_unknown_sigmas, with_uncertainties
+from unbend.stages.wavelengths import air_by_camera
 from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.geodata.geoid import package_geoid
 from unbend.tables.manifest.results import ResultsRecord

@@ -2,7 +2,7 @@
 
 A column is given a type only if each of its values can be had back from it. Digits that are no
 plain number, such as 007, +49 or 12345678901234567890, stay text. What parts the fields, and
-whether decimals have a comma, the file itself shows (`unbend.written_tables`).
+whether decimals have a comma, the file itself shows (`unbend.table_dialect`).
 """
 
 import codecs
@@ -16,8 +16,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 
+from unbend.table_dialect import BLANKS, TableForm, form_of
 from unbend.tables import messages
-from unbend.written_tables import BLANKS, TableForm, form_of
 
 _BLOCK_BYTES = 4 << 20
 _SHOWN_BYTES = 1 << 18  # of a file, by which its form is known

@@ -663,9 +663,9 @@ OBS_MARK_CHANGED = Code(
     ),
     effect="The mission is refused.",
     remedy=(
-        "A model that another program adjusted from an export is still corrected: do not use it. "
-        "If the file contains the original measurements from the images, move the sidecar to "
-        "another folder."
+        "If another program adjusted this model from an export, refraction is already removed from "
+        "it: do not use it as input here. If the file contains the original measurements from the "
+        "images, move the sidecar to another folder."
     ),
 )
 
@@ -678,9 +678,9 @@ def marked_file_changed(*, where: Path | str, name: str) -> InputError:
         where=where,
         name=name,
         remedy=(
-            "a model that another program adjusted from an export is still corrected: do not use "
-            "it; if it contains the original measurements from the images, move the sidecar to "
-            "another folder"
+            "if another program adjusted this model from an export, refraction is already removed "
+            "from it: do not use it as input here; if the file contains the original measurements "
+            "from the images, move the sidecar to another folder"
         ),
     )
 

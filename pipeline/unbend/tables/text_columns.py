@@ -15,6 +15,7 @@ from unbend.errors import Code
 from unbend.flight.channels import TimeArray
 from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
 from unbend.flight.survey_dates import can_be_flown
+from unbend.table_dialect import BLANKS, columns_in_words, with_decimal_points
 from unbend.tables import messages
 from unbend.tables.delimited import text_file
 from unbend.tables.refraction_mark import Direction
@@ -31,7 +32,6 @@ from unbend.units import (
     whole_numbers,
 )
 from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, number_of
-from unbend.written_tables import BLANKS, columns_in_words, with_decimal_points
 
 _LEAST_SIMILAR = 0.5  # of names, by difflib: x_pix is 0.89 to x_px
 LINE_OF_FIRST_ROW = 2  # of a table in memory, as though its first line were its header
@@ -59,7 +59,7 @@ def text_table(
 ) -> pd.DataFrame:
     """All fields as text, by the names of their columns; a field that is not there is empty.
 
-    The table has any form that `unbend.written_tables` knows; numbers with a decimal comma come
+    The table has any form that `unbend.table_dialect` knows; numbers with a decimal comma come
     with a point. The index are the numbers of the lines. ``wanted`` : quantity -> name of its
     column, as stated under ``key`` of the mission file. Refuses what is no table or has two columns
     of one name (the first of ``codes``), and one that lacks a column (the second).

@@ -31,11 +31,11 @@ MOST_HUMIDITY_GROWTH = 9.0  # of its variance: then a reading weighs a tenth, an
 
 ROUGHER = 2.0  # across a coast or a ridge a distance counts so many times
 
-FAR_M = 200e3  # a sounding from farther away is reported
-FAR_SHOWN_M = 3000.0  # height at which its change is stated [m]
+WARN_SOUNDING_M = 200e3  # a sounding from farther away is reported
+WARNED_HEIGHT_M = 3000.0  # height for which the report states what the distance changes
 
-MOST_HOURS = 192.0
-MOST_METRES = 1.8e6
+USELESS_AFTER_H = 192.0
+USELESS_BEYOND_M = 1.8e6
 """From beyond these, or both in part, a source says nothing that the climatology does not."""
 
 UNDATED_SOUNDING_H = 6.0
@@ -43,8 +43,8 @@ UNDATED_REPORT_H = 3.0
 UNPLACED_M = 100e3
 """Assumed where unknown: soundings are released every twelve hours, stations are near."""
 
-FAR_REPORT_H = 3.0  # a surface report from longer before or after is reported
-FAR_SOUNDING_H = 6.0  # a sounding farther in time is reported: the boundary layer has changed
+WARN_REPORT_H = 3.0  # a surface report from longer before or after is reported
+WARN_SOUNDING_H = 6.0  # a sounding farther in time is reported: the boundary layer has changed
 
 _EARTH_M = 6.371e6
 
@@ -139,8 +139,8 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
     'it is 278 hours from the flight: the climatology is as accurate'
     """
     hours, metres = hours_and_metres(source, flight)
-    too_old = hours / MOST_HOURS
-    too_far = (metres / MOST_METRES) ** 2
+    too_old = hours / USELESS_AFTER_H
+    too_far = (metres / USELESS_BEYOND_M) ** 2
     if too_old + too_far <= 1.0:
         return None
     metres /= ROUGHER if source.across else 1.0
@@ -173,19 +173,19 @@ def _notes_of_sounding(sounding: Sounding, flight: TimeAndPlace) -> Iterator[Mes
     if sounding.time_ns is None:
         yield messages.sounding_undated(where=name, hours=UNDATED_SOUNDING_H)
     hours = flight.hours_from(sounding.time_ns)
-    if hours > FAR_SOUNDING_H and reason_uninformative(sounding, flight) is None:
+    if hours > WARN_SOUNDING_H and reason_uninformative(sounding, flight) is None:
         yield messages.sounding_far_in_time(where=name, hours=hours, doubt=flight.doubt)
     metres = flight.metres_from(sounding.latitude_rad, sounding.longitude_rad)
     if not math.isfinite(metres) and math.isfinite(flight.latitude_rad):
         yield messages.sounding_unplaced(where=name, km=UNPLACED_M / 1e3)
-    if metres > FAR_M:
-        worth = "it has no information on its air"
-        if metres <= MOST_METRES:
+    if metres > WARN_SOUNDING_M:
+        consequence = "it has no information on its air"
+        if metres <= USELESS_BEYOND_M:
             parts = variation_parts(flight.latitude_rad, SPRING, ground_h_m=0.0)
             change = changes(parts, 0.0, metres)
-            kelvin = sigma_of(change, np.array([FAR_SHOWN_M]))[0]
-            worth = f"temperatures are {kelvin:.1f} K less certain because of this"
-        yield messages.sounding_far_away(where=name, km=metres / 1e3, worth=worth)
+            kelvin = sigma_of(change, np.array([WARNED_HEIGHT_M]))[0]
+            consequence = f"temperatures are {kelvin:.1f} K less certain because of this"
+        yield messages.sounding_far_away(where=name, km=metres / 1e3, consequence=consequence)
 
 
 def _notes_of_report(report: SurfaceReport, flight: TimeAndPlace) -> Iterator[Message]:
@@ -193,7 +193,7 @@ def _notes_of_report(report: SurfaceReport, flight: TimeAndPlace) -> Iterator[Me
     if report.time_ns is None:
         yield messages.surface_undated(where=report.name, hours=UNDATED_REPORT_H)
     hours = flight.hours_from(report.time_ns)
-    is_far = hours > FAR_REPORT_H and reason_uninformative(report, flight) is None
+    is_far = hours > WARN_REPORT_H and reason_uninformative(report, flight) is None
     if is_far and report.is_metar:
         yield messages.metar_far_in_time(where=report.name, hours=hours, doubt=flight.doubt)
     elif is_far:

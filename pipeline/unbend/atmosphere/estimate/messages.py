@@ -596,14 +596,17 @@ SOUNDING_FAR_AWAY = Code(
 )
 
 
-def sounding_far_away(*, where: str, km: float, worth: str) -> Message:
-    """The sounding is far from the flight."""
+def sounding_far_away(*, where: str, km: float, consequence: str) -> Message:
+    """The sounding is far from the flight.
+
+    ``consequence`` is a clause: what the distance does to its temperatures.
+    """
     return warning(
         SOUNDING_FAR_AWAY,
-        "the sounding is {km:.0f} km from the flight: {worth}",
+        "the sounding is {km:.0f} km from the flight: {consequence}",
         where=where,
         km=km,
-        worth=worth,
+        consequence=consequence,
     )
 
 

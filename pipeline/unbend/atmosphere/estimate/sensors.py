@@ -59,7 +59,8 @@ FAULT_TEXTS: Mapping[SensorFault, str] = {
 }
 """What the ledger, the manifest and the report print for each fault."""
 
-# One sigma of what wanders in GNSS heights and in a static pressure, over half an hour.
+# One sigma of what wanders in GNSS heights and in a static pressure, over half an hour; for how it
+# goes on in time see `sensor_drifts`.
 GNSS_DRIFT_M = 1.6
 PRESSURE_DRIFT_PA = 12.0
 

@@ -278,9 +278,9 @@ _OF_DATE = re.compile(r"date")
 
 
 def _refuse_other_times(columns: Columns, where: str) -> None:
-    """Refuse (InputError SOUNDING-TIME) a table that states its time in a column of another name.
+    """Refuse (InputError SOUNDING-TIME) a time in another column where ``time_utc`` has none.
 
-    Numbers are the seconds since the launch, but those of a date.
+    A column of plain numbers passes, as seconds since launch, unless its name contains ``date``.
     """
     if first_stated(columns.get("time_utc", [])):
         return

@@ -10,8 +10,8 @@ import numpy as np
 
 from unbend.atmosphere.soundings import messages
 from unbend.messages import Message, Notes
+from unbend.table_dialect import form_of, split_rows, with_decimal_points
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
-from unbend.written_tables import form_of, split_rows, with_decimal_points
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
 """Numbers that mean a missing value. 9999 is not among them: it may be a height."""
@@ -146,7 +146,7 @@ def numbers(texts: Iterable[str]) -> Array:
 def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
     """The columns of a table by name, fields as text; lines that begin with # are comments.
 
-    Fields are parted as `unbend.written_tables` knows it; decimal commas become points.
+    Fields are parted as `unbend.table_dialect` knows it; decimal commas become points.
     """
     filled = [line for line in lines if line.strip() and not line.startswith("#")]
     if not filled:

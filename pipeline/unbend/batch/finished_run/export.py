@@ -31,7 +31,7 @@ from unbend.messages import Ledger, Notes
 from unbend.refraction.image import correct_observations
 from unbend.refraction.ray import rays_by
 from unbend.stages import exposure_setup
-from unbend.stages.light import air_by_camera
+from unbend.stages.wavelengths import air_by_camera
 from unbend.tables.exports import FORMATS, ExportCamera, ExportFormat, FinishedRun, find_format
 from unbend.tables.exports.export_format import NO_PROGRESS, ExportProgress
 from unbend.tables.exports.export_frames import frame_record

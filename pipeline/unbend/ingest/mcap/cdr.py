@@ -190,10 +190,11 @@ class _Cursors:
         self.at = self.at[good]
         self.columns = {name: column[good] for name, column in self.columns.items()}
 
-    def restarted(self) -> _Cursors:
-        """New cursors at the same places, without columns, which leave these cursors as they are.
+    def independent(self) -> _Cursors:
+        """Cursors at the same places; moving them does not move these.
 
-        Their ``row`` numbers the messages from 0 on, in the order that these have here.
+        No columns yet; the budget is shared. Their ``row`` numbers the messages from 0 on, in the
+        order that these have here.
         """
         rows = np.arange(self.row.shape[0])
         return _Cursors(
@@ -286,7 +287,7 @@ def _count_trailing(cursors: _Cursors, sequences: Sequence[SequenceField]) -> No
     No message is dropped for that: of a large message only the beginning is there. Therefore other
     cursors move through these sequences, and lose the messages that end.
     """
-    not_ended = cursors.restarted()
+    not_ended = cursors.independent()
     for step in sequences:
         count = not_ended.read_length()
         column = np.full(cursors.row.shape, -1, np.int64)
@@ -435,7 +436,7 @@ def _skip_one_by_one(cursors: _Cursors, step: SequenceField, count: Integers) ->
     Other cursors move, and lose each message when its elements are passed; where that was is noted.
     """
     ends = np.full(cursors.row.shape, -1, np.int64)  # -1 of messages that end too early
-    unfinished = cursors.restarted()
+    unfinished = cursors.independent()
     unfinished.columns["count"] = count  # a column, as it loses the same messages
     steps = _runs(step.steps)
     passed = 0

@@ -184,9 +184,10 @@ def gyer1996(
 
     Arguments as in `unbend.refraction.published`.
     ``step`` [m] is the widest interval of Eq. 31, whose equal intervals fill the height difference.
-    The profile must reach one interval beyond either end. Where the interval below the ground holds
-    P_90, thin shells (Eq. 33-35) take the place of Eq. 31 in the two lowest intervals, as for
-    zeta_g = 90 degrees; NaN for rays that miss the ground.
+    The profile must reach one interval beyond either end. P_90 is the point where a ray is level
+    (zeta = 90 degrees). If it is within an interval below the ground, the two lowest intervals are
+    not by Eq. 31 but by thin shells (Eq. 33-35), which Gyer has for rays that are level at the
+    ground (zeta_g = 90 degrees). NaN for rays that miss the ground.
 
     Reproduces his Tables 3 and 4 within 0.015 arcsec. Against the converged integral the step
     costs 0.035 arcsec up to 80 degrees and up to 7.8 arcsec at 85 degrees and 25 km; Eq. 11
@@ -209,7 +210,8 @@ def gyer1996(
         radius[is_usable],
         step=step,
     )
-    return np.where(is_usable & (h_c == h_g), 0.0, r_c)
+    is_at_ground = is_usable & (h_c == h_g)  # Eq. 11 is 0/0 there
+    return np.where(is_at_ground, 0.0, r_c)
 
 
 def _eq_11(

@@ -282,7 +282,7 @@ def extent_of_observations(facts: Facts) -> Findings:
         outside = float(np.mean((x < 0) | (x > width) | (y < 0) | (y > height)))
         if outside > MOST_OUTSIDE:
             expected = "none outside"
-            mistake = likely_extent(x, y, width, height)
+            mistake = likely_cause_of_pixels_outside(x, y, width, height)
         else:
             filled = max(x.max() / width, y.max() / height)
             if x.size < MANY_ROWS or filled >= FILLED:
@@ -302,8 +302,8 @@ def extent_of_observations(facts: Facts) -> Findings:
         )
 
 
-def likely_extent(x: Array, y: Array, width: int, height: int) -> str:
-    """What pixels likely are that lie outside an image of this width and height [px]."""
+def likely_cause_of_pixels_outside(x: Array, y: Array, width: int, height: int) -> str:
+    """Why measurements likely lie outside an image of this width and height [px], in words."""
     if x.min() < BEHIND_CENTRE * width and y.min() < BEHIND_CENTRE * height:
         return "measured from the centre of the image, not from its upper left corner"
     if x.max() <= height and y.max() <= width:

@@ -188,6 +188,7 @@ def _read_eo(path: Path) -> _EoText:
     if not re.search(r"lat\W+long\w* in deg", head, re.IGNORECASE):
         raise messages.eo_not_in_degrees(where=path)
     lines_below = lines[line_of_titles + 1 :]
+    # A row has a digit in its second field; units and rules do not.
     rows = [line for line in lines_below if re.match(r"\s*\S+\s+\S*[0-9]", line)]
     return _EoText(head, split_lines(rows, titles, r"\s+"), height_title)
 

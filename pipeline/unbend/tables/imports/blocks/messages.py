@@ -49,9 +49,10 @@ def camera_not_there(*, where: Path | str, cameras: str, name: str) -> InputErro
     )
 
 
-def _damaged(
+def _refused_import(
     where: Path | str, text: str, *, remedy: str = NAME_OR_EXPORT, **values: Any
 ) -> InputError:
+    """The refusal (IMPORT-FORMAT) of a file that is damaged, incomplete or not supported."""
     return InputError(IMPORT_FORMAT, text, where=where, remedy=remedy, **values)
 
 
@@ -61,36 +62,38 @@ def _damaged(
 def damaged(*, where: Path | str, program: str) -> InputError:
     """A reader ended in a way that says nothing to a user."""
     text = "as a file of {program}: something in it is not as that program writes it"
-    return _damaged(where, text, program=program)
+    return _refused_import(where, text, program=program)
 
 
 def part_missing(*, where: Path | str, program: str, part: str) -> InputError:
     """An element or a name that the format has is not in the file."""
-    return _damaged(where, "as a file of {program}: it has no {part}", program=program, part=part)
+    return _refused_import(
+        where, "as a file of {program}: it has no {part}", program=program, part=part
+    )
 
 
 def not_json(*, where: Path | str, program: str, line: int) -> InputError:
     """A line breaks the JSON of a file."""
     text = "as a file of {program}: line {line} is not valid JSON"
-    return _damaged(where, text, program=program, line=line)
+    return _refused_import(where, text, program=program, line=line)
 
 
 def not_xml(*, where: Path | str, program: str, line: int) -> InputError:
     """A line breaks the XML of a file."""
     text = "as a file of {program}: line {line} is not valid XML"
-    return _damaged(where, text, program=program, line=line)
+    return _refused_import(where, text, program=program, line=line)
 
 
 def not_database(*, where: Path | str, program: str, error: str) -> InputError:
     """SQLite cannot read a file, or it lacks the program's tables."""
     text = "as a file of {program}: it is not such a database, or it is damaged ({error})"
-    return _damaged(where, text, program=program, error=error)
+    return _refused_import(where, text, program=program, error=error)
 
 
 def not_readable(*, where: Path | str, program: str, error: str) -> InputError:
     """The operating system does not let a file be read."""
     text = "as a file of {program}: it cannot be read: {error}"
-    return _damaged(where, text, program=program, error=error)
+    return _refused_import(where, text, program=program, error=error)
 
 
 # Any block
@@ -98,7 +101,7 @@ def not_readable(*, where: Path | str, program: str, error: str) -> InputError:
 
 def line_unreadable(*, where: Path | str, line: int) -> InputError:
     """A line of a text has other fields, or no numbers where these belong."""
-    return _damaged(where, "line {line} is not as that program writes it", line=line)
+    return _refused_import(where, "line {line} is not as that program writes it", line=line)
 
 
 def bytes_behind(*, where: Path | str, count: int) -> InputError:
@@ -116,7 +119,7 @@ def bytes_behind(*, where: Path | str, count: int) -> InputError:
 def record_cut(*, where: Path | str, size: int, offset: int, needed: int) -> InputError:
     """A binary file ends before the record that begins at a byte."""
     text = "the file was cut off: it has {size}, and the record from byte {offset} on {needed}"
-    return _damaged(where, text, size=Counted(size, "byte"), offset=offset, needed=needed)
+    return _refused_import(where, text, size=Counted(size, "byte"), offset=offset, needed=needed)
 
 
 def no_orientation(*, where: Path | str) -> InputError:
@@ -142,13 +145,13 @@ def image_repeated(*, where: Path | str, image: str) -> InputError:
 
 def no_rotation(*, where: Path | str, image: str) -> InputError:
     """The quaternion of an image is not of length 1."""
-    return _damaged(where, "the orientation of {image!r} is not a rotation", image=image)
+    return _refused_import(where, "the orientation of {image!r} is not a rotation", image=image)
 
 
 def position_beyond(*, where: Path | str, item: str, largest: float) -> InputError:
     """A position is infinite or farther away than anything on earth, in any unit."""
     text = "the position of {item!r} has a coordinate of {largest:g}"
-    return _damaged(where, text, item=item, largest=largest)
+    return _refused_import(where, text, item=item, largest=largest)
 
 
 # COLMAP
@@ -156,7 +159,7 @@ def position_beyond(*, where: Path | str, item: str, largest: float) -> InputErr
 
 def not_a_model(*, where: Path | str) -> InputError:
     """Orientations or points are asked of a database or a single file."""
-    return _damaged(
+    return _refused_import(
         where,
         "it is not a model: a database or a file has neither orientations nor object points",
         remedy=(
@@ -169,12 +172,12 @@ def not_a_model(*, where: Path | str) -> InputError:
 def colmap_model_unknown(*, where: Path | str, number: int, last: int) -> InputError:
     """The number of a camera model is of a later version of COLMAP."""
     text = "its camera model number {number} is not known: COLMAP 4.2 has 0 to {last}"
-    return _damaged(where, text, number=number, last=last)
+    return _refused_import(where, text, number=number, last=last)
 
 
 def database_in_use(*, where: Path | str, log: str) -> InputError:
     """Rows of a database still stand in the write-ahead log beside it."""
-    return _damaged(
+    return _refused_import(
         where,
         "{log} next to it has rows that are not yet in the database",
         remedy="close the program that uses the database, or open and close the database",
@@ -187,7 +190,7 @@ def keypoints_cut(
 ) -> InputError:
     """The keypoints of an image are not as many bytes as their rows and columns need."""
     text = "the keypoints of {image!r} are {size}, not {rows} of {columns} float32"
-    return _damaged(
+    return _refused_import(
         where,
         text,
         image=image,
@@ -199,7 +202,7 @@ def keypoints_cut(
 
 def matches_cut(*, where: Path | str, table: str, one: str, other: str) -> InputError:
     """The matches of two images are not as many bytes as their rows need."""
-    return _damaged(
+    return _refused_import(
         where,
         "the {table} of {one_image!r} and {other_image!r} are cut off",
         remedy="match the images again",
@@ -212,7 +215,7 @@ def matches_cut(*, where: Path | str, table: str, one: str, other: str) -> Input
 def camera_of_image_unknown(*, where: Path | str, line: int, image: str, camera: str) -> InputError:
     """An image of a model is of a camera that its file of cameras does not have."""
     text = "in line {line}, {image!r} has camera {camera}, which is not in cameras.txt"
-    return _damaged(where, text, line=line, image=image, camera=camera)
+    return _refused_import(where, text, line=line, image=image, camera=camera)
 
 
 COLMAP_COUNT = Code(
@@ -249,7 +252,7 @@ def line_without_end(*, where: Path | str) -> Message:
 def records_missing(*, where: Path | str, found: int, total: int) -> InputError:
     """A text of COLMAP's has fewer or more records than its head says, or no end."""
     text = "the file was cut off after {found} of {total}"
-    return _damaged(where, text, found=found, total=Counted(total, "record"))
+    return _refused_import(where, text, found=found, total=Counted(total, "record"))
 
 
 def keypoints_none(*, where: Path | str, pairs: int) -> InputError:
@@ -269,18 +272,18 @@ def keypoints_none(*, where: Path | str, pairs: int) -> InputError:
 def is_folder(*, where: Path | str) -> InputError:
     """A folder stands where a file of Metashape's belongs."""
     remedy = "name a .psz or .psx, or an exported .xml"
-    return _damaged(where, "it is a folder", remedy=remedy)
+    return _refused_import(where, "it is a folder", remedy=remedy)
 
 
 def metashape_version(*, where: Path | str, tag: str, version: str) -> InputError:
     """A document of a version of Metashape's that is not read."""
     text = "it is a {tag} of version {version}; versions 1 and 2 of Metashape are supported"
-    return _damaged(where, text, tag=tag, version=version)
+    return _refused_import(where, text, tag=tag, version=version)
 
 
 def several_chunks(*, where: Path | str, chunks: int, names: str) -> InputError:
     """A document of no chunk, or of several."""
-    return _damaged(
+    return _refused_import(
         where,
         "it has {chunks} ({names}); only one can be read",
         remedy="keep only the needed chunk, or export only this chunk",
@@ -292,18 +295,18 @@ def several_chunks(*, where: Path | str, chunks: int, names: str) -> InputError:
 def several_frames(*, where: Path | str, frames: int) -> InputError:
     """A chunk of several frames, which are moments."""
     text = "the chunk has {frames} frames; only one can be read"
-    return _damaged(where, text, frames=frames)
+    return _refused_import(where, text, frames=frames)
 
 
 def archive_part_missing(*, where: Path | str, part: str) -> InputError:
     """The document of an archive names a file that the archive does not have."""
-    return _damaged(where, "it does not contain {part}, which its document names", part=part)
+    return _refused_import(where, "it does not contain {part}, which its document names", part=part)
 
 
 def ply_cut(*, where: Path | str, part: str, size: int, records: int, each: int) -> InputError:
     """The points of an archive are not as many bytes as their head says."""
     text = "{part} was cut off, or has another format: {size} for {records} of {each}"
-    return _damaged(
+    return _refused_import(
         where,
         text,
         part=part,
@@ -315,12 +318,12 @@ def ply_cut(*, where: Path | str, part: str, size: int, records: int, each: int)
 
 def calibration_missing(*, where: Path | str) -> InputError:
     """A camera of Metashape's that was not adjusted."""
-    return _damaged(where, "the camera has no adjusted calibration")
+    return _refused_import(where, "the camera has no adjusted calibration")
 
 
 def calibration_unusable(*, where: Path | str, coefficients: str, kind: str) -> InputError:
     """A calibration has coefficients for which there is no camera here."""
-    return _damaged(
+    return _refused_import(
         where,
         "{coefficients} of a {kind} calibration cannot be used",
         remedy="adjust the camera without these coefficients, and export it again",
@@ -334,7 +337,7 @@ def calibration_unusable(*, where: Path | str, coefficients: str, kind: str) -> 
 
 def tracks_version(*, where: Path | str, first_line: str, expected: str) -> InputError:
     """The tracks of OpenSfM are of another version."""
-    return _damaged(
+    return _refused_import(
         where,
         "its first line is {first_line!r}, not {expected}",
         remedy="write it again with OpenSfM 0.5 or newer",
@@ -345,7 +348,7 @@ def tracks_version(*, where: Path | str, first_line: str, expected: str) -> Inpu
 
 def several_reconstructions(*, where: Path | str, found: int) -> InputError:
     """A file of no reconstruction, or of several."""
-    return _damaged(
+    return _refused_import(
         where,
         "{found}, each with separate cameras",
         remedy="keep one of them",
@@ -355,7 +358,7 @@ def several_reconstructions(*, where: Path | str, found: int) -> InputError:
 
 def vector_missing(*, where: Path | str, item: str, key: str) -> InputError:
     """A shot or a point lacks a vector, or its vector has not three numbers."""
-    return _damaged(where, "{item!r} has no {key} of three numbers", item=item, key=key)
+    return _refused_import(where, "{item!r} has no {key} of three numbers", item=item, key=key)
 
 
 def reconstruction_in_utm(*, where: Path | str, evidence: str, name: str) -> InputError:
@@ -418,7 +421,7 @@ def disabled_cameras(*, where: Path | str, names: Sequence[str]) -> Message:
 
 def several_of_pix4d(*, where: Path | str, name: str, files: int) -> InputError:
     """A folder holds the parameters of several projects."""
-    return _damaged(
+    return _refused_import(
         where,
         "it has {files} that end in {name}",
         remedy="name the needed file of the project",
@@ -429,7 +432,7 @@ def several_of_pix4d(*, where: Path | str, name: str, files: int) -> InputError:
 
 def offset_missing(*, where: Path | str, name: str) -> InputError:
     """The centres count from a place of a map that no file names."""
-    return _damaged(
+    return _refused_import(
         where,
         "its projection centres are relative to the project's offset, which is not in any file",
         remedy="copy the project's ..._{name} or its external parameters into the same folder",
@@ -441,7 +444,7 @@ def files_of_pix4d_differ(
     *, where: Path | str, image: str, away_m: float, turned_deg: float
 ) -> InputError:
     """An image has other poses in the two files of a project."""
-    return _damaged(
+    return _refused_import(
         where,
         "{image!r} is {away_m:.3g} m away and turned by {turned_deg:.3g} deg in the file of "
         "external parameters",
@@ -457,17 +460,17 @@ def files_of_pix4d_differ(
 
 def is_folder_of_xml(*, where: Path | str) -> InputError:
     """A folder stands where a file of BlocksExchange belongs."""
-    return _damaged(where, "it is a folder", remedy="name the exported .xml")
+    return _refused_import(where, "it is a folder", remedy="name the exported .xml")
 
 
 def not_blocks_exchange(*, where: Path | str, tag: str) -> InputError:
     """An XML of another kind."""
-    return _damaged(where, "it is a {tag}, not a BlocksExchange", tag=tag)
+    return _refused_import(where, "it is a {tag}, not a BlocksExchange", tag=tag)
 
 
 def several_blocks(*, where: Path | str, blocks: int, names: str) -> InputError:
     """A file of no block, or of several."""
-    return _damaged(
+    return _refused_import(
         where,
         "it has {blocks} ({names}); only one can be read",
         remedy="export only the needed block",
@@ -478,7 +481,7 @@ def several_blocks(*, where: Path | str, blocks: int, names: str) -> InputError:
 
 def system_of_group(*, where: Path | str, name: str) -> InputError:
     """A photogroup is in another spatial reference system than its block."""
-    return _damaged(
+    return _refused_import(
         where,
         "the photogroup {name!r} is in another spatial reference system than its block",
         remedy="export the block in one spatial reference system",
@@ -488,7 +491,7 @@ def system_of_group(*, where: Path | str, name: str) -> InputError:
 
 def rotation_unreadable(*, where: Path | str, angles: str) -> InputError:
     """A rotation is neither a matrix nor omega, phi, kappa."""
-    return _damaged(
+    return _refused_import(
         where,
         "its rotations are {angles}, and the format does not state the formula of these angles",
         remedy="export them as matrices, or as omega, phi, kappa",
@@ -499,7 +502,7 @@ def rotation_unreadable(*, where: Path | str, angles: str) -> InputError:
 def photo_unknown(*, where: Path | str, point: str, number: str) -> InputError:
     """A measurement is in a photo that the block does not have."""
     text = "{point!r} is measured in photo {number}, which does not exist"
-    return _damaged(where, text, point=point, number=number)
+    return _refused_import(where, text, point=point, number=number)
 
 
 # DBAT
@@ -508,12 +511,12 @@ def photo_unknown(*, where: Path | str, point: str, number: str) -> InputError:
 def dbat_version(*, where: Path | str, version: str) -> InputError:
     """A script or a camera of another version of DBAT's."""
     text = "it is a script of DBAT version {version}; only version 1.0 is supported"
-    return _damaged(where, text, version=version)
+    return _refused_import(where, text, version=version)
 
 
 def dbat_cameras(*, where: Path | str, cameras: int) -> InputError:
     """A script of no or several cameras: its report does not say which image is of which."""
-    return _damaged(
+    return _refused_import(
         where,
         "it has {cameras}; only one can be read",
         remedy="give stations.orientation",
@@ -523,26 +526,33 @@ def dbat_cameras(*, where: Path | str, cameras: int) -> InputError:
 
 def dbat_without_report(*, where: Path | str) -> InputError:
     """A script that does not name the report of an adjustment."""
-    return _damaged(
+    return _refused_import(
         where,
         "the script names no report, which has the orientations",
-        remedy="run DBAT with output/files/report, or give stations.orientation",
+        remedy=(
+            "add the element output/files/report/file to the script and run DBAT again, or give "
+            "stations.orientation"
+        ),
     )
 
 
 def orientation_cut(*, where: Path | str, image: str) -> InputError:
     """The report lacks values of an image's orientation."""
-    return _damaged(where, "the orientation of {image} is incomplete", image=image)
+    return _refused_import(where, "the orientation of {image} is incomplete", image=image)
 
 
 def image_number_unknown(*, where: Path | str, place: str, number: str) -> InputError:
     """A line of the image points names the number of an image that the script does not have."""
-    return _damaged(where, "{place}: no image has the number {number}", place=place, number=number)
+    return _refused_import(
+        where, "{place}: no image has the number {number}", place=place, number=number
+    )
 
 
 def camera_not_plain(*, where: Path | str, name: str, plain: float) -> InputError:
     """The skew or the aspect of a camera is one that cannot be used."""
-    return _damaged(where, "the {name} of its camera is not {plain:g}", name=name, plain=plain)
+    return _refused_import(
+        where, "the {name} of its camera is not {plain:g}", name=name, plain=plain
+    )
 
 
 def dbat_model_unknown(*, where: Path | str, model: float) -> InputError:
@@ -550,7 +560,7 @@ def dbat_model_unknown(*, where: Path | str, model: float) -> InputError:
     text = (
         "the lens distortion model {model:g} of its camera is unknown; known models are 1, 2 and 3"
     )
-    return _damaged(where, text, model=model)
+    return _refused_import(where, text, model=model)
 
 
 INPUT_MISSING = Code(

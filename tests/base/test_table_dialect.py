@@ -2,7 +2,7 @@
 
 import pytest
 
-from unbend.written_tables import BLANKS, form_of
+from unbend.table_dialect import BLANKS, form_of
 
 
 @pytest.mark.parametrize(

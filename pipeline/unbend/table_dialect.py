@@ -24,6 +24,8 @@ WORDS_OF_SEPARATORS = {
 }
 MOST_ROWS = 200  # that show how a table is written
 
+_UNDIVIDED = (0, 1)  # numeric columns and columns of a table that no separator divides
+
 _FIELD_BETWEEN_BLANKS = re.compile(r'"(?:[^"]|"")*"|[^\s"]\S*')
 _SEPARATOR_OF_SPREADSHEET = re.compile(r"\"?sep=(.)\"?\s*", re.IGNORECASE)
 _COORDINATE_SYSTEM = re.compile(
@@ -139,15 +141,16 @@ def _lines_before_rows(lines: Sequence[str]) -> int:
 
 
 def _separator_of(before: Sequence[str], body: Sequence[str]) -> str:
-    """What parts the fields: that by which rows are as long as the first, with most numbers.
+    """The separator that gives most numeric columns, then most columns; a comma without any.
 
-    Raises ValueError where rows are longer than the first by each separator that this one has.
+    No row may be longer than the first; with blanks none shorter. A separator that a spreadsheet
+    states is taken as it is. ValueError if only separators with a longer row were found.
     """
     stated_separator = _stated_separator(before)
     if stated_separator:
         return stated_separator
     best = ","
-    best_score = (0, 1)
+    best_score = _UNDIVIDED
     longer = ""
     for separator in SEPARATORS:
         rows = split_rows(body, separator)
@@ -162,7 +165,7 @@ def _separator_of(before: Sequence[str], body: Sequence[str]) -> str:
         elif score > best_score:
             best = separator
             best_score = score
-    if longer and best_score == (0, 1):
+    if longer and best_score == _UNDIVIDED:
         raise ValueError(longer)
     return best
 
@@ -170,9 +173,9 @@ def _separator_of(before: Sequence[str], body: Sequence[str]) -> str:
 def _stated_separator(before: Sequence[str]) -> str:
     """What a line ``sep=;`` of a spreadsheet says; empty without one."""
     for line in before:
-        first_line = _SEPARATOR_OF_SPREADSHEET.fullmatch(line)
-        if first_line is not None and first_line[1] in SEPARATORS:
-            return first_line[1]
+        stated = _SEPARATOR_OF_SPREADSHEET.fullmatch(line)
+        if stated is not None and stated[1] in SEPARATORS:
+            return stated[1]
     return ""
 
 
