@@ -20,6 +20,11 @@ NED_FROM_ENU = np.array(
 )
 
 
+def one_line(text):
+    """A text with single blanks between its words, however it was wrapped."""
+    return " ".join(text.split())
+
+
 def ns(text):
     """A time in ISO 8601, UTC, as Unix nanoseconds."""
     return int(np.datetime64(text, "ns").astype(np.int64))
