@@ -1,7 +1,5 @@
 """`check` says of a mission what `run` would: same codes, same exit code, and writes nothing."""
 
-from __future__ import annotations
-
 import re
 from functools import partial
 from pathlib import Path
@@ -11,7 +9,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from tests.helpers import codes_of, entry_of, refused
+from tests.helpers import codes_of, entry_of, one_line, refused
 from tests.tables.observed import COLUMNS
 from unbend.batch.rehearsal import rehearsal_lines
 from unbend.batch.runs import check_mission, run_mission
@@ -20,15 +18,13 @@ from unbend.messages import Ledger
 from unbend.tables.observations import open_observations
 from unbend.tables.row_sample import RowSample
 
-from .conftest import measured_rows, observe
-
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 
 def renamed_column(mission):
-    table = measured_rows(mission)
+    table = mission.measured_rows()
     table.insert(0, "h_g_m_input", 1.0)
-    observe(mission, table)
+    mission.observe_rows(table)
 
 
 def config(**changes):
@@ -54,9 +50,9 @@ def set_rows(column, value, count):
     """A value in the first rows of a column of the observations."""
 
     def spoil(mission):
-        table = measured_rows(mission)
+        table = mission.measured_rows()
         table.loc[: count - 1, column] = value
-        observe(mission, table)
+        mission.observe_rows(table)
 
     return spoil
 
@@ -144,13 +140,13 @@ def test_check_says_what_run_says(mission, change):
 
 def many_rows(mission):
     """Every observation 250 times, of each second image ten times as often; a tenth no number."""
-    table = measured_rows(mission)
+    table = mission.measured_rows()
     is_second = table["image"].rank(method="dense") % 2 == 0
     copies = np.where(is_second, 2500, 250)
     table = table.loc[table.index.repeat(copies)]
     draws = np.random.default_rng(4).random(len(table))
     table["x_px"] = table["x_px"].mask(draws < 0.1)
-    observe(mission, table)
+    mission.observe_rows(table)
 
 
 def test_a_large_table_is_sampled_and_its_counts_are_those_of_a_run(mission):
@@ -264,7 +260,7 @@ def test_sampled_rows_are_those_of_the_table(tmp_path, kind):
 def test_ten_lines_in_80_columns(mission, unbend):
     ended = unbend("check", mission.save())
     assert max(map(len, ended.out.splitlines())) <= 80
-    text = " ".join(ended.out.split())
+    text = one_line(ended.out)
     lines = dict(rehearsal_lines(check_mission(mission.file)))
     assert list(lines) == [
         "datum",
@@ -350,8 +346,8 @@ def test_what_ten_metres_do_is_what_they_do(mission):
     lines = dict(rehearsal_lines(check_mission(mission.save())))
     run_mission(mission.file)
     before = mission.result_rows()
-    table = measured_rows(mission)
-    observe(mission, table.assign(h_g_m=table["h_g_m"] + 10.0))
+    table = mission.measured_rows()
+    mission.observe_rows(table.assign(h_g_m=table["h_g_m"] + 10.0))
     run_mission(mission.save())
     after = mission.result_rows()
 
