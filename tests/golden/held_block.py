@@ -262,7 +262,7 @@ def write_mission(block, folder, **sections):
     config["cameras"] = {name: dict(camera) for name in dict.fromkeys(block.camera.tolist())}
     config |= sections
     path = folder / "mission.yaml"
-    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
+    path.write_text(yaml.safe_dump(config, sort_keys=False), "utf-8")
     return path
 
 

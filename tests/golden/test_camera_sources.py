@@ -1,7 +1,5 @@
 """The sample mission with its cameras from files and from a report: the same corrections."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
