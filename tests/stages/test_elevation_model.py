@@ -5,7 +5,6 @@ import sys
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
 import rasterio
 from numpy.testing import assert_allclose
@@ -159,9 +158,9 @@ def test_a_model_in_feet_is_too_far_from_the_take_off(mission, modelled):
 
 def observe_single_points(mission):
     """Let every point be in one image."""
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table["point"] += table["image"]
-    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
+    mission.observe_rows(table)
 
 
 def checked(mission):

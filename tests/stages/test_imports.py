@@ -15,10 +15,8 @@ from tests.stages.flown_files import (
     NEAR_M,
     assert_true,
     errors,
-    files,
     gps_time,
     offsets,
-    truth,
 )
 from tests.stages.mistaken import evaluated
 from tests.stages.other_logs import message_of, read_folder
@@ -27,8 +25,6 @@ from unbend.simulate.flight import UNDULATION_M
 from unbend.stages.flight_log import with_trajectory
 
 approx = pytest.approx
-
-__all__ = ["files", "truth"]
 
 
 OFFSET_MM = (1500, -700, 300)

@@ -13,11 +13,10 @@ from pyproj import Proj
 from scipy.spatial.transform import Rotation
 
 import unbend
-from tests.helpers import codes_of, entry_of, refused
+from tests.helpers import NED_FROM_ENU, codes_of, entry_of, refused
 from tests.small_block import enu_axes
 from tests.stages.block_files import CABIN
 from tests.stages.corrected_rows import pressure_alone
-from tests.stages.flown_images import NED_FROM_ENU
 from tests.stages.oriented_tables import (
     OPK,
     PINHOLE,
@@ -139,7 +138,7 @@ def test_angles_of_a_csv_are_the_mission_of_that_csv(opk, mission):
     }
     assert mission.run().code in (0, 3)  # the lenses are not those of the simulation
 
-    rows = mission.measurements().to_pandas()
+    rows = mission.measured_rows()
     result = correct(rows, pd.read_csv(path), "us1976", cameras, orientation=HEIGHTS)
 
     assert_frame_equal(result, mission.result_rows(), check_exact=True)

@@ -172,8 +172,7 @@ FOUND = yaml.safe_load(MISTAKES)
 
 def observe(mission, recipe):
     """The observations of a mission, changed by assignments."""
-    table = evaluated(mission.measurements().to_pandas(), recipe)
-    table.to_parquet(mission.folder / "observations.parquet", index=False)
+    mission.observe_rows(evaluated(mission.measured_rows(), recipe))
 
 
 def findings_of(manifest, code):
@@ -228,7 +227,7 @@ def test_ground_beside_the_terrain_of_the_autopilot(
 
     Tie points find the same where heights are spoiled; it is held back where the cause is named.
     """
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     ground_m = table.groupby("image")["h_g_m"].median()
     observe(mission, f"h_g_m = h_g_m * {factor}")
     read = read_folder(mission)
@@ -662,9 +661,9 @@ def test_many_flagged_rows_of_a_known_cause_are_no_other_finding():
 
 def test_x_and_y_exchanged_are_one_mistake(mission):
     """Rows outside the image follow from it."""
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table["x_px"], table["y_px"] = table["y_px"].copy(), table["x_px"].copy()
-    table.to_parquet(mission.folder / "observations.parquet", index=False)
+    mission.observe_rows(table)
 
     ledger = check_mission(mission.save()).corrected.prepared.ledger
 
@@ -720,10 +719,10 @@ def test_thermometers_that_are_both_in_the_cabin_are_not_exchanged(mission):
 
 def test_an_image_that_the_log_does_not_know_is_one_loss(mission):
     """Its rows are a note; rows without ground stay a loss of their own."""
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table.loc[0, "image"] = "nadir_09999"
     table.loc[5, "h_g_m"] = np.nan
-    table.to_parquet(mission.folder / "observations.parquet", index=False)
+    mission.observe_rows(table)
 
     checked = check_mission(mission.save())
 

@@ -15,16 +15,12 @@ from tests.stages.flown_files import (
     Files,
     assert_true,
     errors,
-    files,
-    truth,
 )
 from tests.stages.other_logs import flight_of, opened, read_folder, refusal_to_read, with_channels
 from unbend import load_mission
 from unbend.messages import Ledger
 from unbend.simulate.flight import UNDULATION_M
 from unbend.stages.story import prepare_mission
-
-__all__ = ["files", "truth"]
 
 
 @pytest.fixture
