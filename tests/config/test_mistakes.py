@@ -393,23 +393,20 @@ def test_results_go_to_a_folder_that_is_not_named_as_a_file(name, refusal):
 )
 def test_another_file_in_the_place_of_a_mission_file_is_named(tmp_path, name, content, says):
     (tmp_path / name).write_bytes(content)
-    with refused("CONFIG-UNREADABLE") as refusal:
+    with refused("CONFIG-UNREADABLE", what=says):
         load_mission(tmp_path / name)
-    assert says in refusal.value.what
 
 
 def test_a_log_in_the_place_of_a_mission_file_is_named():
-    with refused("CONFIG-UNREADABLE") as refusal:
+    with refused(
+        "CONFIG-UNREADABLE", what="is a flight log: ArduPilot DataFlash", remedy="unbend init"
+    ):
         load_mission(REPOSITORY / "sample_logs" / "flight.bin")
-    assert "is a flight log: ArduPilot DataFlash" in refusal.value.what
-    assert "unbend init" in refusal.value.remedy
 
 
 def test_a_folder_in_the_place_of_a_mission_file_is_named(tmp_path):
-    with refused("CONFIG-UNREADABLE") as refusal:
+    with refused("CONFIG-UNREADABLE", what="is a folder, not a mission file", remedy="unbend init"):
         load_mission(tmp_path)
-    assert "is a folder, not a mission file" in refusal.value.what
-    assert "unbend init" in refusal.value.remedy
     (tmp_path / "m.yaml").write_text("mission: {name: a}\n", "utf-8")
     with refused("CONFIG-UNREADABLE") as refusal:
         load_mission(tmp_path)

@@ -282,9 +282,8 @@ def test_the_stations_are_those_of_the_log_in_each_convention(block, convention)
 def test_coordinate_systems_that_cannot_be_meant_are_refused(block, crs, code, remedy):
     table = in_lambert(block)
     block.orientation["crs"] = crs
-    with refused(code) as refusal:
+    with refused(code, says=remedy):
         prepared(block, table)
-    assert remedy in str(refusal.value)
 
 
 def test_latitudes_of_a_past_survey_are_brought_to_the_present(block):
@@ -445,9 +444,8 @@ def test_heights_in_the_ground_are_refused_and_others_told(block, table):
     assert "m above the ground in the median" in note.what
 
     table["height"] -= 2900.0
-    with refused("ORIENTATION-HEIGHT") as refusal:
+    with refused("ORIENTATION-HEIGHT", what="below the ground"):
         prepared(block, table)
-    assert "below the ground" in refusal.value.what
 
     table["height"] += 22_900.0
     warning = message_of(prepared(block, table), "ORIENTATION-HEIGHT")
@@ -467,15 +465,13 @@ def test_our_own_table_of_several_cameras_is_read_without_columns(block, by_log,
     assert stations.utc_ns.tolist() == times_ns.tolist()
     exported = pd.read_csv(path)
     of_no_camera = exported.drop(columns=["camera", "status"])
-    with refused("EVENTS-CAMERA") as refusal:
+    with refused("EVENTS-CAMERA", says="the camera of the rows of the table is not stated"):
         prepared(block, of_no_camera)
-    assert "the camera of the rows of the table is not stated" in str(refusal.value)
 
 
 def test_a_table_that_is_not_there_is_refused(block):
-    with refused("INPUT-MISSING") as refusal:
+    with refused("INPUT-MISSING", says="stations.orientation.path"):
         read_folder(block)
-    assert "stations.orientation.path" in str(refusal.value)
 
 
 def test_check_copes_without_a_log(block, table, obeyed):
@@ -640,16 +636,14 @@ def test_tie_points_tell_another_reading_of_nadir_images(true_table, ties_of, re
     """Within a degree of the vertical: nothing in the numbers themselves shows it."""
     nadir = true_table[true_table["camera"] == "nadir"]
     changed = evaluated(nadir, READINGS[reading])
-    with refused("ORIENTATION-READING") as refusal:
+    with refused("ORIENTATION-READING", what=reading):
         ties_of(changed)
-    assert reading in refusal.value.what
 
 
 def test_tie_points_tell_the_order_of_the_rotations(true_table, ties_of):
     """Angles of oblique images in the other order of rotations, by their matrices."""
-    with refused("ORIENTATION-READING") as refusal:
+    with refused("ORIENTATION-READING", says="if the angles are omega_phi_kappa"):
         ties_of(true_table, angles="phi_omega_kappa")
-    assert "if the angles are omega_phi_kappa" in str(refusal.value)
 
 
 def test_tie_points_tell_the_inverse_of_a_quaternion(true_table, crossing_lines, ties_of):
@@ -658,9 +652,8 @@ def test_tie_points_tell_the_inverse_of_a_quaternion(true_table, crossing_lines,
     assert ties.kind == "note"
 
     inverse = true_table.join(quaternion * INVERSE)
-    with refused("ORIENTATION-READING") as refusal:
+    with refused("ORIENTATION-READING", says="turn the other way"):
         ties_of(inverse, angles="quaternion")
-    assert "turn the other way" in str(refusal.value)
     ties = ties_of(inverse, angles="quaternion_to_frame")
     assert ties.kind == "note"
 

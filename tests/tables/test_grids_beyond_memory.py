@@ -29,9 +29,8 @@ def test_a_field_of_equal_values_has_a_grid_within_the_limit(tmp_path, edition):
         keys += f",numberOfDataPoints={points},numberOfValues={points}"
     write_grib(path, [keys], edition)
     assert path.stat().st_size < LARGEST_FILE
-    with refused("MODEL-UNREADABLE", InputError) as caught:
+    with refused("MODEL-UNREADABLE", InputError, says=f"{points:,} points"):
         contents_of(path)
-    assert f"{points:,} points" in str(caught.value)
 
 
 def test_grids_of_real_models_are_within_the_limit():
@@ -85,9 +84,8 @@ def test_a_raster_has_values_in_proportion_to_its_file(
     path = tmp_path / "sparse.tif"
     write_sparse_raster(path, side, block=block, **grid)
     assert path.stat().st_size < LARGEST_FILE
-    with refused(code, InputError) as caught:
+    with refused(code, InputError, says=size):
         read(path)
-    assert size in str(caught.value)
 
 
 def test_a_sparse_elevation_model_in_tiles_is_read(tmp_path):

@@ -126,9 +126,8 @@ def test_what_cannot_be_read_is_refused(tmp_path, data, code):
 
 def test_without_the_extra_the_command_that_installs_it_is_named(era5, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with refused("MODEL-PACKAGE") as refusal:
+    with refused("MODEL-PACKAGE", remedy="unbend[nwp]"):
         contents_of(era5)
-    assert "unbend[nwp]" in refusal.value.remedy
 
 
 BOTH = """
