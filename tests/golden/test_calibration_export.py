@@ -23,12 +23,12 @@ from tests.golden.held_block import (
     NADIR,
     WIDTH,
     HeldBlock,
-    brown,
     fly,
     intersected,
     write_mission,
 )
 from tests.helpers import refused
+from tests.lens import brown
 from unbend.batch.finished_run.export import export_run
 
 from .conftest import run_mission
