@@ -116,6 +116,12 @@ class MissionFolder:
         assert ended.code == exit_code, ended.text
         return self.manifest()
 
+    def checked(self):
+        """What `unbend check` finds of the mission as it is now."""
+        from unbend.batch.runs import check_mission
+
+        return check_mission(self.save())
+
     def refusal(self, code, exit_code=6):
         """Run the mission, which must be refused with this code; what the user reads."""
         ended = self.run()

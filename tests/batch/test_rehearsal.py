@@ -151,7 +151,7 @@ def many_rows(mission):
 
 def test_a_large_table_is_sampled_and_its_counts_are_those_of_a_run(mission):
     many_rows(mission)
-    rehearsal = check_mission(mission.save())
+    rehearsal = mission.checked()
     ran = run_mission(mission.file).manifest.values
 
     checked = rehearsal.manifest.values
@@ -288,7 +288,7 @@ def span(values, digits):
 
 
 def test_the_lines_have_the_numbers_of_the_run(mission):
-    lines = dict(rehearsal_lines(check_mission(mission.save())))
+    lines = dict(rehearsal_lines(mission.checked()))
     run_mission(mission.file)
     stations = mission.station_rows()
     rows = (
@@ -343,7 +343,7 @@ def medians(lines, label):
 
 def test_what_ten_metres_do_is_what_they_do(mission):
     """The ground 10 m higher in the mission file moves the corrections by what check says."""
-    lines = dict(rehearsal_lines(check_mission(mission.save())))
+    lines = dict(rehearsal_lines(mission.checked()))
     run_mission(mission.file)
     before = mission.result_rows()
     table = mission.measured_rows()
@@ -383,7 +383,7 @@ def test_a_folder_without_permission(mission, monkeypatch):
     # Tests may run as root, who may write into every folder.
     monkeypatch.setattr("os.access", lambda path, mode: False)
     with refused("STORAGE-WRITE") as refusal:
-        check_mission(mission.save())
+        mission.checked()
     refusal.match("Permission denied")
 
 
@@ -392,7 +392,7 @@ def test_a_folder_without_permission(mission, monkeypatch):
 
 def test_an_accepted_finding_stays_and_raises_nothing(mission):
     mission.config["mount"]["oblique"]["lever_arm_m"] = [20.0, 28.0, 45.0]
-    ledger = check_mission(mission.save()).manifest.values["ledger"]
+    ledger = mission.checked().manifest.values["ledger"]
     findings = {entry["code"] for entry in ledger if entry["kind"] == "finding"}
     assert "PLAUSIBLE-LEVER-ARM" in findings
     accepted = [{"code": code, "reason": "a boom"} for code in sorted(findings)]
@@ -412,7 +412,7 @@ def test_losses_cannot_be_accepted_and_unused_ones_are_told(mission):
         with refused("ACCEPT-LOSS"):
             act(mission.file)
     mission.config["accept"] = [{"code": "PLAUSIBLE-AIR", "reason": "cold"}]
-    manifest = check_mission(mission.save()).manifest.values
+    manifest = mission.checked().manifest.values
     assert ("warning", "ACCEPT-UNUSED") in kinds_and_codes(manifest)
 
 

@@ -13,7 +13,6 @@ from rasterio import Affine
 from tests.helpers import codes_of, entry_of
 from tests.stages.terrain_models import CELLS, terrain_grid
 from tests.tables.geodata.rasters import write_raster
-from unbend.batch.runs import check_mission
 
 STEP_M = 20.0
 WIDE_STEP_M = 80.0  # of a model in which the field lies as well
@@ -165,7 +164,7 @@ def observe_single_points(mission):
 
 def checked(mission):
     """The manifest of a rehearsal."""
-    return check_mission(mission.save()).manifest.values
+    return mission.checked().manifest.values
 
 
 def kinds_of(mission):

@@ -28,7 +28,6 @@ from tests.stages.other_logs import (
     with_channels,
 )
 from tests.stages.terrain_models import gtx
-from unbend.batch.runs import check_mission
 from unbend.tables.geodata.geoid import package_geoid
 
 UNDULATION_M = 47.6
@@ -303,7 +302,7 @@ def test_a_column_of_images_that_is_empty(mission):
     table["image"] = ""
     mission.observe_rows(table)
 
-    manifest = check_mission(mission.save()).manifest.values
+    manifest = mission.checked().manifest.values
 
     assert entry_of(manifest, "OBS-NO-IMAGE")["count"] == len(table)
     flagged = entry_of(manifest, "PLAUSIBLE-FLAGGED")["what"]
