@@ -8,6 +8,7 @@ import math
 import os
 import pickle
 import random
+import re
 import shutil
 import signal
 import sys
@@ -115,6 +116,12 @@ class MissionFolder:
         assert ended.code == exit_code, ended.text
         return self.manifest()
 
+    def checked(self):
+        """What `unbend check` finds of the mission as it is now."""
+        from unbend.batch.runs import check_mission
+
+        return check_mission(self.save())
+
     def refusal(self, code, exit_code=6):
         """Run the mission, which must be refused with this code; what the user reads."""
         ended = self.run()
@@ -124,6 +131,10 @@ class MissionFolder:
 
     def measurements(self):
         return pq.read_table(self.folder / "observations.parquet").replace_schema_metadata(None)
+
+    def measured_rows(self):
+        """The measurements as a DataFrame."""
+        return self.measurements().to_pandas()
 
     def measured_often(self, copies):
         """The measurements over and over, each time of other points."""
@@ -139,6 +150,10 @@ class MissionFolder:
         """Make a table the observations of the mission."""
         pq.write_table(table, self.folder / name)
         self.config["observations"]["path"] = name
+
+    def observe_rows(self, rows):
+        """Make a DataFrame the observations of the mission."""
+        self.observe(pa.Table.from_pandas(rows, preserve_index=False))
 
     def observe_text(self, text, name="own.csv"):
         """Make a CSV the observations of the mission."""
@@ -289,8 +304,7 @@ def baseline(mission_factory, tmp_path_factory):
     """The mission as simulated, after a run. Not to be changed."""
     done = mission_factory(tmp_path_factory.mktemp("baseline") / "mission")
     with inputs_settled():
-        ended = done.run()
-    assert ended.code == 0, ended.text
+        done.run_to_manifest()
     return done
 
 
@@ -318,6 +332,38 @@ def plain_report():
 def unbend():
     """`unbend` with some words, in this process."""
     return run_command
+
+
+@pytest.fixture
+def obeyed(unbend):
+    """Runs a command that must end with an exit code, by default 0; what it prints."""
+
+    def run(*words, exit_code=0):
+        ended = unbend(*words)
+        assert ended.code == exit_code, ended.text
+        return ended.out
+
+    return run
+
+
+@pytest.fixture
+def refusal_of(unbend):
+    """Runs a command that must be refused with a code; what it says."""
+
+    def run(code, exit_code, *words):
+        return assert_refused(unbend(*words), code, exit_code)
+
+    return run
+
+
+def assert_refused(ended, code, exit_code):
+    """A refusal has its form and says what to do; what the user reads."""
+    assert ended.code == exit_code, ended.text
+    assert "Traceback" not in ended.text
+    assert "Warning" not in ended.text
+    assert re.search(rf"^(.+: )?{code}: \S", ended.err, re.MULTILINE), ended.text
+    assert "\n  to do: " in ended.err, ended.err
+    return ended.err
 
 
 @pytest.fixture
@@ -396,7 +442,6 @@ golden/test_costs.py
 golden/test_gallery.py
 golden/test_memory.py
 golden/test_portability.py
-golden/test_sample_mission.py::test_kernel_against_the_ode_on_the_true_profile
 golden/test_scale_parameter.py
 golden/test_wheel.py
 golden/test_when.py

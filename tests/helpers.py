@@ -20,6 +20,11 @@ NED_FROM_ENU = np.array(
 )
 
 
+def one_line(text):
+    """A text with single blanks between its words, however it was wrapped."""
+    return " ".join(text.split())
+
+
 def ns(text):
     """A time in ISO 8601, UTC, as Unix nanoseconds."""
     return int(np.datetime64(text, "ns").astype(np.int64))
@@ -47,10 +52,11 @@ def channel(
 
 
 @contextlib.contextmanager
-def refused(code, kind=UnbendError):
+def refused(code, kind=UnbendError, *, what="", where="", remedy="", says=""):
     """A block of a test that must end with the refusal of this code, which says what to do.
 
-    Where a kind is given, the refusal is of just this class.
+    Where a kind is given, the refusal is of just this class. The words that it must have are given
+    by its part, or as what it ``says`` anywhere.
     """
     with pytest.raises(UnbendError) as caught:
         yield caught
@@ -60,6 +66,10 @@ def refused(code, kind=UnbendError):
         assert kind_of_error is kind, f"{code} is a {kind_of_error.__name__}"
     assert error.code == code, str(error)
     assert error.remedy, f"{code} does not say what to do"
+    assert what in error.what
+    assert where in error.where
+    assert remedy in error.remedy
+    assert says in str(error)
 
 
 def with_code(messages, code):

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-REAL = REPOSITORY.parent / "shared" / "logs"
+SHARED = REPOSITORY.parent / "shared"
+REAL = SHARED / "logs"
 FOLDERS = (REPOSITORY / "sample_logs", REPOSITORY / "tests" / "data" / "logs", REAL)
 
 LOGS = {path.name: path for folder in FOLDERS for path in sorted(folder.glob("*.*"))}

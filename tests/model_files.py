@@ -3,13 +3,11 @@
 The heights of levels are integrated here, apart from the package: WGS84 normal gravity.
 """
 
-from functools import partial
-
 import numpy as np
 import pyproj  # noqa: F401  (before ecCodes)
 import xarray
 
-from unbend.simulate.true_air import normal_gravity
+from tests.atmosphere.flights import geopotential
 
 PRESSURE_LEVELS = (
     *range(1000, 750, -25),
@@ -22,13 +20,6 @@ PRESSURE_LEVELS = (
 
 COLUMNS = ("valid_time", "latitude", "longitude", "level")
 """Dimensions of fields, column by column."""
-
-
-def geopotential(latitude, h):
-    """[m2/s2] of heights [m]; Simpson is exact for gravity to second order."""
-    gravity = np.vectorize(partial(normal_gravity, latitude))
-    weighted = gravity(0.0) + 4.0 * gravity(0.5 * h) + gravity(h)
-    return h * weighted / 6.0
 
 
 def at_pressures(column, pressure_pa):
@@ -69,7 +60,7 @@ def dataset(
         h, kelvin, humidity = at_pressures(profile, pressure_pa)
         t[place] = kelvin
         q[place] = humidity
-        z[place] = geopotential(latitude[row], h)
+        z[place] = 9.80665 * geopotential(latitude[row], h)
     fields = {
         "t": (COLUMNS, t, {"units": "K"}),
         "q": (COLUMNS, q, {"units": "kg kg**-1"}),
@@ -109,7 +100,7 @@ def on_model_levels(
         profile = air(latitude[row], longitude[column], stamps[time])
         h, _, p, _ = profile
         log_p[place] = np.interp(ground_m, h, np.log(p))
-        z[place] = geopotential(latitude[row], np.array(ground_m))
+        z[place] = 9.80665 * geopotential(latitude[row], ground_m)
         half = half_levels(np.exp(log_p[place]))[0, 59:]
         full = 0.5 * (half[1:] + half[:-1])
         _, kelvin, humidity = at_pressures(profile, full)

@@ -14,6 +14,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from tests.lens import brown
+
 A = 6378137.0
 E2 = 0.00669437999014
 WIDTH = 6000
@@ -57,13 +59,8 @@ def enu_axes(lat_deg, lon_deg):
 
 def pixels(cam):
     """(n, 2) pixels of points in the axes of a camera, upper left corner (0, 0)."""
-    x = cam[:, 0] / cam[:, 2]
-    y = cam[:, 1] / cam[:, 2]
-    r2 = x * x + y * y
-    radial = 1 + K1 * r2 + K2 * r2**2 + K3 * r2**3
-    x_d = x * radial + 2 * P1 * x * y + P2 * (r2 + 2 * x * x)
-    y_d = y * radial + P1 * (r2 + 2 * y * y) + 2 * P2 * x * y
-    return np.stack([CX + FOCAL * x_d, CY + FOCAL * y_d], axis=1)
+    x, y = brown(cam[:, 0] / cam[:, 2], cam[:, 1] / cam[:, 2], *OPENCV)
+    return np.stack([CX + FOCAL * x, CY + FOCAL * y], axis=1)
 
 
 @dataclass

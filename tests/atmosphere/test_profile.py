@@ -164,9 +164,8 @@ def test_every_row_explains_its_temperature_and_index(table):
 
 
 def test_the_table_refuses_heights_outside():
-    with refused("PROFILE-RANGE", PhysicsError) as caught:
+    with refused("PROFILE-RANGE", PhysicsError, what="99000"):
         profile_table(standard_atmosphere("ican"), np.array([0.0, 99_000.0]))
-    assert "99000" in caught.value.what
 
 
 def test_the_table_as_a_frame():

@@ -1,7 +1,5 @@
 """Texts of messages that a damaged or hostile file would make as long as itself."""
 
-from __future__ import annotations
-
 from unbend.errors import LONGEST_TEXT, LONGEST_WORD, SHOWN_OF_WORD, rendered
 
 

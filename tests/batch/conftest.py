@@ -1,23 +1,15 @@
-"""Commands that must end in one way, and the tables of a mission as data frames."""
-
-from __future__ import annotations
+"""Plans of missions, and files of results: their hashes, and a byte that changes."""
 
 import hashlib
-import re
-
-import pyarrow as pa
-import pytest
 
 from tests.conftest import MissionFolder
+from unbend.batch.plan import Plan, make_plan
+from unbend.config import load_mission
 
 
-def measured_rows(mission: MissionFolder):
-    return mission.measurements().to_pandas()
-
-
-def observe(mission: MissionFolder, rows):
-    """Make a data frame the observations of the mission."""
-    mission.observe(pa.Table.from_pandas(rows, preserve_index=False))
+def plan_of(mission: MissionFolder) -> Plan:
+    """What a run of the mission as it is now would do."""
+    return make_plan(load_mission(mission.save()), mission.folder)
 
 
 def hashes_in(folder, pattern="*"):
@@ -35,29 +27,3 @@ def flip_a_byte(path):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
-
-
-@pytest.fixture
-def obeyed(unbend):
-    """Runs a command that must end with an exit code, by default 0; what it prints."""
-
-    def run(*words, exit_code=0):
-        ended = unbend(*words)
-        assert ended.code == exit_code, ended.text
-        return ended.out
-
-    return run
-
-
-@pytest.fixture
-def refusal_of(unbend):
-    """Runs a command that must be refused with a code; what it says."""
-
-    def run(code, exit_code, *words):
-        ended = unbend(*words)
-        assert ended.code == exit_code, ended.text
-        assert "Traceback" not in ended.text
-        assert re.search(rf"^(.+: )?{code}: \S", ended.err, re.MULTILINE), ended.text
-        return ended.err
-
-    return run

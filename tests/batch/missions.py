@@ -4,8 +4,6 @@ No mission file is read, so the rooms that read them, a second and a half of eac
 imported. As a program: runs some in so many processes, or on a cluster, and prints how each ended.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

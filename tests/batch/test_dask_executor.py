@@ -1,7 +1,5 @@
 """Missions on a Dask cluster of this machine, whose workers and scheduler are killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

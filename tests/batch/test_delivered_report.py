@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers import refused
+from tests.helpers import one_line, refused
 from unbend.batch.finished_run import delivered_report
 from unbend.batch.finished_run.delivered_report import find_browser, print_command, run_within
 from unbend.batch.remote import Place
@@ -28,7 +28,7 @@ printf '%%PDF-1.4\\n' > "$out"; cat "${page#file://}" >> "$out"; printf '\\n%%%%
 
 def browser(folder, script):
     path = folder / "browser"
-    path.write_text("#!/bin/sh\n" + script, encoding="utf-8")
+    path.write_text("#!/bin/sh\n" + script, "utf-8")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
     return str(path)
 
@@ -37,8 +37,8 @@ def test_a_page_with_the_date_of_processing(unbend, baseline, tmp_path, monkeypa
     """The time of the manifest; the results stay as they are."""
     monkeypatch.chdir(tmp_path)
     obeyed("report", baseline.output)
-    page = Path(f"{baseline.manifest()['mission']}-report.html").read_text(encoding="utf-8")
-    page_of_run = (baseline.output / "report.html").read_text(encoding="utf-8")
+    page = Path(f"{baseline.manifest()['mission']}-report.html").read_text("utf-8")
+    page_of_run = (baseline.output / "report.html").read_text("utf-8")
     time_utc = time.gmtime((baseline.output / "manifest.json").stat().st_mtime)
     date = f"<dt>Processed</dt><dd>{time.strftime('%Y-%m-%d %H:%M', time_utc)} UTC</dd>"
     assert page == page_of_run.replace(PROCESSED, date)
@@ -110,7 +110,7 @@ def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path
     assert time.monotonic() - began_s < 60.0
     assert ended.code == 2, ended.text
     assert ended.err.startswith("REPORT-BROWSER: ")
-    assert sentence in " ".join(ended.err.split())
+    assert sentence in one_line(ended.err)
     assert not list(out.parent.iterdir())
 
 

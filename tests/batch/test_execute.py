@@ -1,7 +1,5 @@
 """Several missions: which folders are one, in which order they run, and the exit code of all."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

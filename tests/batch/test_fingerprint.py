@@ -10,8 +10,8 @@ import pytest
 
 import unbend
 from unbend.batch import fingerprint
-from unbend.batch.plan import make_plan
-from unbend.config import load_mission
+
+from .conftest import plan_of
 
 PACKAGE = Path(unbend.__file__).parent
 
@@ -35,7 +35,7 @@ NO_NUMBERS = {
 def imported(path):
     """The names of the top-level packages that a module imports, anywhere in it."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if isinstance(node, ast.Import):
             names.update(alias.name.partition(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -56,7 +56,7 @@ def test_every_library_is_known():
 
 
 def fingerprint_now(mission):
-    return make_plan(load_mission(mission.save()), mission.folder).fingerprint
+    return plan_of(mission).fingerprint
 
 
 def test_what_is_accepted_and_where_results_go_count(mission):

@@ -1,7 +1,5 @@
 """What leaves for other programs: the run as it was, on a grid and by nadir angle."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil
@@ -15,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
+from tests.helpers import one_line
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.batch.finished_run.export import export_run, rebuild_run
@@ -26,8 +25,6 @@ from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Ledger
 from unbend.tables.exports import FORMATS
 from unbend.tables.writing import PROFILE_ID, table_of_profile, table_of_stations
-
-from .conftest import measured_rows, observe
 
 FEW_NODES = ("--columns", 2, "--rows", 2)
 
@@ -61,7 +58,7 @@ def lattice(export):
     def make(run, *options, exit_code=0):
         out, ended = export(run, "lattice", "--force", *options)
         assert ended.code == exit_code, ended.text
-        return pd.read_parquet(out), " ".join(ended.out.split())
+        return pd.read_parquet(out), one_line(ended.out)
 
     return make
 
@@ -96,7 +93,7 @@ def test_at_its_nodes_the_lattice_is_what_a_run_makes_of_them(mission, lattice):
     nodes = pd.DataFrame(product(images, x, y), columns=place)
     nodes["point"] = nodes.index.astype(str)
     nodes["h_g_m"] = 321.0
-    observe(mission, nodes)
+    mission.observe_rows(nodes)
     mission.run_to_manifest()
 
     grid, _ = lattice(
@@ -156,10 +153,10 @@ def median_heights(mission):
 
 
 def test_images_without_observations_get_the_ground_of_the_others(mission, lattice):
-    table = measured_rows(mission)
+    table = mission.measured_rows()
     left_out = table["image"][0]
     table = table[table["image"] != left_out]
-    observe(mission, table)
+    mission.observe_rows(table)
     mission.run()
 
     rows, text = lattice(mission.output, *FEW_NODES)
@@ -171,9 +168,9 @@ def test_images_without_observations_get_the_ground_of_the_others(mission, latti
 
 
 def test_what_has_no_lattice_is_said(mission, lattice):
-    table = measured_rows(mission)
+    table = mission.measured_rows()
     table.loc[0, "image"] = "unknown.tif"
-    observe(mission, table)
+    mission.observe_rows(table)
     mission.run_to_manifest(3)
     rows, text = lattice(mission.output, *FEW_NODES, exit_code=3)
     assert "EXPORT-LEFT-OUT: 1 image " in text
@@ -181,8 +178,8 @@ def test_what_has_no_lattice_is_said(mission, lattice):
 
 
 def test_a_run_without_ground_heights_says_so(mission, lattice):
-    table = measured_rows(mission)
-    observe(mission, table.assign(h_g_m=np.nan))
+    table = mission.measured_rows()
+    mission.observe_rows(table.assign(h_g_m=np.nan))
     mission.run_to_manifest(3)
     rows, text = lattice(mission.output, *FEW_NODES, exit_code=3)
     assert "EXPORT-NO-GROUND" in text

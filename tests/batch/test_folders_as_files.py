@@ -19,7 +19,7 @@ def folder(tmp_path):
 
     def filled(*names):
         for name in names:
-            (tmp_path / name).write_text("", encoding="utf-8")
+            (tmp_path / name).write_text("", "utf-8")
         return tmp_path
 
     return filled

@@ -1,7 +1,5 @@
 """`unbend init`: what it writes loads, asks for what is open, and runs with the truth filled in."""
 
-from __future__ import annotations
-
 import io
 import math
 import re
@@ -31,8 +29,6 @@ from unbend.batch.proposal.proposed_cameras import proposed_cameras
 from unbend.flight.channels import Channel
 from unbend.flight.image_names import name_series
 
-from .conftest import measured_rows
-
 TWO_HEADS = yaml.safe_load("""
 cameras:
   head0: &camera
@@ -48,6 +44,7 @@ mount:
   head1: *at_rest
 events: {log: {head0: {channel: "CAM[0]"}, head1: {channel: "CAM[1]"}}}
 ground: {reference: msl}
+observations: {refraction: none}
 """)
 
 
@@ -64,17 +61,12 @@ def keys_of_todo(tree):
 
 def answered(tree, truth):
     """The tree with the truth in the place of each TODO, and nothing else changed."""
-    truth = truth | {"observations": {"refraction": "none"} | truth.get("observations", {})}
-    return with_truth(tree, truth)
-
-
-def with_truth(tree, truth):
     answers = {}
     for key, value in tree.items():
         if value == "TODO":
             answers[key] = truth[key]
         elif isinstance(value, dict) and keys_of_todo(value):
-            answers[key] = with_truth(value, truth[key])
+            answers[key] = answered(value, truth[key])
     return tree | answers
 
 
@@ -92,7 +84,7 @@ def todo_of_check(refusal_of):
 
 
 def tree_of(path):
-    return yaml.safe_load(path.read_text(encoding="utf-8"))
+    return yaml.safe_load(path.read_text("utf-8"))
 
 
 @pytest.fixture
@@ -111,7 +103,7 @@ def table(mission):
 
     def write(**columns):
         path = mission.folder / "o.csv"
-        rows = measured_rows(mission)
+        rows = mission.measured_rows()
         rows.rename(columns=columns).to_csv(path, index=False)
         return path
 
@@ -126,7 +118,7 @@ def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_g
     truth = flown.config
     ended = unbend("init", flown.log, flown.folder / "observations.parquet", "--out", flown.file)
     assert ended.code == 0, ended.text
-    text = flown.file.read_text(encoding="utf-8")
+    text = flown.file.read_text("utf-8")
     assert text.startswith("# yaml-language-server: $schema=mission.schema.json\n")
     assert (flown.folder / "mission.schema.json").is_file()
     tree = yaml.safe_load(text)
@@ -138,6 +130,7 @@ def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_g
     assert tree["ground"]["height"] == {"column": "h_g_m"}
     for camera in truth["cameras"].values():
         camera["f_px"] = camera["fx_px"]
+    truth["observations"]["refraction"] = "none"
     # Of the log, channels alone may be asked for.
     truth["log"] = {"channels": {"cabin_humidity": None} | truth["log"]["channels"]}
     flown.config = answered(tree, truth)
@@ -155,7 +148,7 @@ def test_with_the_truth_filled_in_it_gives_what_the_mission_file_of_the_flight_g
 
 def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):
     """Beside remarks on lines of their own; the flight has one channel, and no cabin."""
-    rows = measured_rows(mission)
+    rows = mission.measured_rows()
     table = mission.folder / "o.csv"
     rows[rows["image"].str.startswith("nadir")].to_csv(table, index=False)
     facts = LogFacts(events=(events("CAM[0]", 1, 3),), takeoff="take-off 450 m above the sea")
@@ -172,9 +165,9 @@ def test_a_bare_camera_takes_twenty_lines(mission, monkeypatch):
 
 def test_nothing_is_written_over(mission, unbend, tmp_path, obeyed, refusal_of):
     out = tmp_path / "mine.yaml"
-    out.write_text("mine", encoding="utf-8")
+    out.write_text("mine", "utf-8")
     refusal_of("INIT-EXISTS", 2, "init", mission.log, "--out", out)
-    assert out.read_text(encoding="utf-8") == "mine"
+    assert out.read_text("utf-8") == "mine"
     obeyed("init", mission.log, "--out", out, "--force")
     assert "still TODO" in unbend("check", out).err
 
@@ -192,9 +185,9 @@ def test_nothing_is_written_over(mission, unbend, tmp_path, obeyed, refusal_of):
 def test_wrong_inputs_are_refused_in_words(mission, unbend, monkeypatch, words, code):
     monkeypatch.chdir(mission.folder)
     Path("no.bin").write_bytes(b"nothing of a log" * 100)
-    Path("no.csv").write_text("image,point\na,b\nc,d,e\n", encoding="utf-8")
+    Path("no.csv").write_text("image,point\na,b\nc,d,e\n", "utf-8")
     images = "SourceFile,DateTimeOriginal\nx/DSC_1.JPG,2026:05:14 10:00:00\n"
-    Path("images.csv").write_text(images, encoding="utf-8")
+    Path("images.csv").write_text(images, "utf-8")
     assert code in unbend("init", *words.split(), "--out", "-").err
 
 
@@ -321,7 +314,7 @@ def test_without_events_their_table_is_asked_for(mission, monkeypatch, todo_of_c
     text = propose_mission(mission.log, None, None, mission.file)
     assert yaml.safe_load(text)["events"] == {"csv": {"path": "TODO"}}
     assert "# the log has no camera events" in text
-    mission.file.write_text(text, encoding="utf-8")
+    mission.file.write_text(text, "utf-8")
     assert "events.csv.path" in todo_of_check(mission.file)
 
 
@@ -345,6 +338,7 @@ def test_a_block_alone_asks_for_its_frame_and_its_day(unbend, tmp_path, obeyed, 
     }
     truth = yaml.safe_load("""
     cameras: {a: {calibration: laboratory}}
+    observations: {refraction: none}
     stations:
       orientation:
         frame: {enu: {lat_deg: 47.0, lon_deg: 8.5, h_ellipsoid_m: 500.0}}
@@ -392,9 +386,9 @@ def beginnings(tmp_path, monkeypatch):
     (tmp_path / "flight.ulg").write_bytes(flight())
     project = tmp_path / "project"
     project.mkdir()
-    (project / "reconstruction.json").write_text(PROJECT, encoding="utf-8")
-    (project / "tracks.csv").write_text(TRACKS, encoding="utf-8")
-    (project / "images.csv").write_text(IMAGES, encoding="utf-8")
+    (project / "reconstruction.json").write_text(PROJECT, "utf-8")
+    (project / "tracks.csv").write_text(TRACKS, "utf-8")
+    (project / "images.csv").write_text(IMAGES, "utf-8")
     return tmp_path
 
 
@@ -432,7 +426,7 @@ def test_results_get_a_folder_of_the_name_of_the_mission(mission, proposed, tmp_
 
 def test_names_of_files_do_not_break_the_yaml(mission, proposed, tmp_path):
     log = mission.log.rename(tmp_path / "a: b #c, {d}.bin")
-    rows = measured_rows(mission)
+    rows = mission.measured_rows()
     rows["image"] = 'x: "{y}" # ' + rows["image"]
     path = tmp_path / "o #1.csv"
     rows.to_csv(path, index=False)

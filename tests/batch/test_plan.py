@@ -11,15 +11,16 @@ import unbend
 from tests.helpers import refused
 from unbend.batch.fingerprint import code_hash, hash_of_files
 from unbend.batch.input_files import check_unchanged, named_inputs
-from unbend.batch.plan import make_plan
 from unbend.config import load_mission
+
+from .conftest import plan_of
 
 PACKAGE = Path(unbend.__file__).parent
 
 
 @pytest.fixture
 def plan(mission):
-    return make_plan(load_mission(mission.save()), mission.folder)
+    return plan_of(mission)
 
 
 @pytest.fixture
@@ -80,13 +81,12 @@ def test_inputs_have_their_roles_and_their_places_in_the_mission_file(mission):
     }
     (mission.folder / "a.csv").write_text("h")
     with refused("INPUT-MISSING") as refusal:
-        make_plan(load_mission(mission.file), mission.folder)
+        plan_of(mission)
     assert refusal.value.where == str(mission.folder / "b.csv")
     assert "atmosphere.soundings" in str(refusal.value)
     mission.log.unlink()
-    with refused("INPUT-MISSING") as refusal:
-        make_plan(load_mission(mission.file), mission.folder)
-    assert "check log.path" in str(refusal.value)
+    with refused("INPUT-MISSING", says="check log.path"):
+        plan_of(mission)
 
 
 SIDECARS = ["dem.tif.aux.xml", "dem.tif.msk", "dem.tif.ovr", "dem.tfw", "DEM.prj", "dem"]
@@ -97,13 +97,9 @@ def test_files_beside_a_raster_count_with_it(mission):
     """A raster alone has the hash of its bytes."""
     mission.config["ground"]["height"] = {"dem": "dem.tif"}
     mission.config["mission"]["geoid"] = "sea.tif"
-
-    def plan_now():
-        return make_plan(load_mission(mission.save()), mission.folder)
-
     for name in ("dem.tif", "sea.tif", *OF_OTHERS):
         (mission.folder / name).write_bytes(b"raster")
-    plan = plan_now()
+    plan = plan_of(mission)
     alone = hashlib.sha256(b"raster").hexdigest()
     assert plan.input("elevation model 1").sha256 == alone
     assert plan.input("geoid").sha256 == alone
@@ -112,12 +108,12 @@ def test_files_beside_a_raster_count_with_it(mission):
         sidecar = mission.folder / name
         for content in (b"x", b"y"):
             sidecar.write_bytes(content)
-            hashes.add(plan_now().input("elevation model 1").sha256)
+            hashes.add(plan_of(mission).input("elevation model 1").sha256)
             with refused("INPUT-CHANGED"):
                 check_unchanged(plan.inputs)
         sidecar.unlink()
     assert len(hashes) == 1 + 2 * len(SIDECARS)
     (mission.folder / "sea.tif.aux.xml").write_bytes(b"x")
-    plan = plan_now()
+    plan = plan_of(mission)
     assert plan.input("elevation model 1").sha256 == alone
     assert plan.input("geoid").sha256 != alone

@@ -143,7 +143,7 @@ main()
 )
 def test_a_signal_stops_all_and_begins_nothing(mission_factory, tmp_path, number, code, deaf):
     missions = [mission_factory(tmp_path / name) for name in "abcdef"]
-    (tmp_path / "stalling.py").write_text(STALLING, encoding="utf-8")
+    (tmp_path / "stalling.py").write_text(STALLING, "utf-8")
     files = [str(mission.save()) for mission in missions]
     process = subprocess.Popen(
         [sys.executable, "-c", RUN, str(tmp_path), "run", "--jobs", "2", *files],

@@ -1,7 +1,5 @@
 """Receipts of parts: values and nothing that runs."""
 
-from __future__ import annotations
-
 from unbend.batch.receipts import packed, unpacked
 from unbend.messages import Kind, Ledger
 

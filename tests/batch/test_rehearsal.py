@@ -1,7 +1,5 @@
 """`check` says of a mission what `run` would: same codes, same exit code, and writes nothing."""
 
-from __future__ import annotations
-
 import re
 from functools import partial
 from pathlib import Path
@@ -11,7 +9,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from tests.helpers import codes_of, entry_of, refused
+from tests.helpers import codes_of, entry_of, one_line, refused
 from tests.tables.observed import COLUMNS
 from unbend.batch.rehearsal import rehearsal_lines
 from unbend.batch.runs import check_mission, run_mission
@@ -20,15 +18,13 @@ from unbend.messages import Ledger
 from unbend.tables.observations import open_observations
 from unbend.tables.row_sample import RowSample
 
-from .conftest import measured_rows, observe
-
 pytestmark = pytest.mark.usefixtures("plain_report")
 
 
 def renamed_column(mission):
-    table = measured_rows(mission)
+    table = mission.measured_rows()
     table.insert(0, "h_g_m_input", 1.0)
-    observe(mission, table)
+    mission.observe_rows(table)
 
 
 def config(**changes):
@@ -54,9 +50,9 @@ def set_rows(column, value, count):
     """A value in the first rows of a column of the observations."""
 
     def spoil(mission):
-        table = measured_rows(mission)
+        table = mission.measured_rows()
         table.loc[: count - 1, column] = value
-        observe(mission, table)
+        mission.observe_rows(table)
 
     return spoil
 
@@ -144,18 +140,18 @@ def test_check_says_what_run_says(mission, change):
 
 def many_rows(mission):
     """Every observation 250 times, of each second image ten times as often; a tenth no number."""
-    table = measured_rows(mission)
+    table = mission.measured_rows()
     is_second = table["image"].rank(method="dense") % 2 == 0
     copies = np.where(is_second, 2500, 250)
     table = table.loc[table.index.repeat(copies)]
     draws = np.random.default_rng(4).random(len(table))
     table["x_px"] = table["x_px"].mask(draws < 0.1)
-    observe(mission, table)
+    mission.observe_rows(table)
 
 
 def test_a_large_table_is_sampled_and_its_counts_are_those_of_a_run(mission):
     many_rows(mission)
-    rehearsal = check_mission(mission.save())
+    rehearsal = mission.checked()
     ran = run_mission(mission.file).manifest.values
 
     checked = rehearsal.manifest.values
@@ -264,7 +260,7 @@ def test_sampled_rows_are_those_of_the_table(tmp_path, kind):
 def test_ten_lines_in_80_columns(mission, unbend):
     ended = unbend("check", mission.save())
     assert max(map(len, ended.out.splitlines())) <= 80
-    text = " ".join(ended.out.split())
+    text = one_line(ended.out)
     lines = dict(rehearsal_lines(check_mission(mission.file)))
     assert list(lines) == [
         "datum",
@@ -292,7 +288,7 @@ def span(values, digits):
 
 
 def test_the_lines_have_the_numbers_of_the_run(mission):
-    lines = dict(rehearsal_lines(check_mission(mission.save())))
+    lines = dict(rehearsal_lines(mission.checked()))
     run_mission(mission.file)
     stations = mission.station_rows()
     rows = (
@@ -347,11 +343,11 @@ def medians(lines, label):
 
 def test_what_ten_metres_do_is_what_they_do(mission):
     """The ground 10 m higher in the mission file moves the corrections by what check says."""
-    lines = dict(rehearsal_lines(check_mission(mission.save())))
+    lines = dict(rehearsal_lines(mission.checked()))
     run_mission(mission.file)
     before = mission.result_rows()
-    table = measured_rows(mission)
-    observe(mission, table.assign(h_g_m=table["h_g_m"] + 10.0))
+    table = mission.measured_rows()
+    mission.observe_rows(table.assign(h_g_m=table["h_g_m"] + 10.0))
     run_mission(mission.save())
     after = mission.result_rows()
 
@@ -387,7 +383,7 @@ def test_a_folder_without_permission(mission, monkeypatch):
     # Tests may run as root, who may write into every folder.
     monkeypatch.setattr("os.access", lambda path, mode: False)
     with refused("STORAGE-WRITE") as refusal:
-        check_mission(mission.save())
+        mission.checked()
     refusal.match("Permission denied")
 
 
@@ -396,7 +392,7 @@ def test_a_folder_without_permission(mission, monkeypatch):
 
 def test_an_accepted_finding_stays_and_raises_nothing(mission):
     mission.config["mount"]["oblique"]["lever_arm_m"] = [20.0, 28.0, 45.0]
-    ledger = check_mission(mission.save()).manifest.values["ledger"]
+    ledger = mission.checked().manifest.values["ledger"]
     findings = {entry["code"] for entry in ledger if entry["kind"] == "finding"}
     assert "PLAUSIBLE-LEVER-ARM" in findings
     accepted = [{"code": code, "reason": "a boom"} for code in sorted(findings)]
@@ -416,7 +412,7 @@ def test_losses_cannot_be_accepted_and_unused_ones_are_told(mission):
         with refused("ACCEPT-LOSS"):
             act(mission.file)
     mission.config["accept"] = [{"code": "PLAUSIBLE-AIR", "reason": "cold"}]
-    manifest = check_mission(mission.save()).manifest.values
+    manifest = mission.checked().manifest.values
     assert ("warning", "ACCEPT-UNUSED") in kinds_and_codes(manifest)
 
 

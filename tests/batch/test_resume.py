@@ -1,7 +1,5 @@
 """A correction that is stopped anywhere goes on where it was, and gives the same bytes."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os
@@ -22,11 +20,9 @@ from tests.tables.observed import COLUMNS
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch import store
 from unbend.batch.input_files import check_unchanged
-from unbend.batch.plan import make_plan
 from unbend.batch.receipts import packed, unpacked
 from unbend.batch.run_files import PartsOfRun, correct_into
 from unbend.batch.store import find_damage, open_folder, read_manifest
-from unbend.config import load_mission
 from unbend.errors import StorageError
 from unbend.messages import Ledger
 from unbend.refraction.camera.camera import BrownConrady, Camera
@@ -38,7 +34,7 @@ from unbend.stages.ground_heights import GivenGround
 from unbend.tables.manifest.whole import Manifest
 from unbend.tables.observations import open_observations
 
-from .conftest import hashes_in
+from .conftest import hashes_in, plan_of
 
 ROWS = 950
 BATCH_ROWS = 100
@@ -323,7 +319,7 @@ def test_a_receipt_runs_nothing(tmp_path):
 
 def test_no_receipt_is_written_for_inputs_that_changed(mission):
     """Otherwise a run with the former content would take up parts of the other one."""
-    plan = make_plan(load_mission(mission.save()), mission.folder)
+    plan = plan_of(mission)
     check_unchanged(plan.inputs)
     observations = plan.input("observations")
     time_ns = observations.states[0].mtime_ns

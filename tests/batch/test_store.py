@@ -1,7 +1,5 @@
 """What a run may take away in its folder, and what not."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -46,7 +44,7 @@ def manifest_of(run: RunFolder) -> Manifest:
 def place_files(run: RunFolder, *names):
     """Results of a run, each with its own name in it."""
     for name in names:
-        run.place(name).write_text(name, encoding="utf-8")
+        run.place(name).write_text(name, "utf-8")
         run.seal(name)
 
 
@@ -66,7 +64,7 @@ def damage_of(folder, *, read=True):
 def test_files_of_the_user_stay(tmp_path):
     folder = tmp_path / "observations"
     commit(tmp_path, PART, "observations/part-00001.parquet")
-    (folder / "notes.txt").write_text("mine", encoding="utf-8")
+    (folder / "notes.txt").write_text("mine", "utf-8")
     (folder / "sub").mkdir()
     commit(tmp_path, PART)
     assert names_in(folder) == {"notes.txt", "part-00000.parquet", "sub"}
@@ -78,23 +76,23 @@ def test_a_refused_run_does_not_make_a_folder_ours(tmp_path, name):
         pass  # refused before anything was committed
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
-    path.write_text("the user's", encoding="utf-8")
+    path.write_text("the user's", "utf-8")
     with refused("STORAGE-NOT-OURS"), open_folder(tmp_path):
         pass
-    assert path.read_text(encoding="utf-8") == "the user's"
+    assert path.read_text("utf-8") == "the user's"
 
 
 @pytest.mark.parametrize("name", ["stations.parquet", PART])
 def test_a_flipped_byte_is_seen_by_a_rerun(tmp_path, name):
     commit(tmp_path, "stations.parquet", PART)
     assert damage_of(tmp_path, read=False) == []
-    (tmp_path / name).write_text(name[:-1] + "T", encoding="utf-8")
+    (tmp_path / name).write_text(name[:-1] + "T", "utf-8")
     assert damage_of(tmp_path, read=False) == [f"{name}: its content has changed"]
 
 
 def test_a_file_has_no_manifest(tmp_path):
     file = tmp_path / "manifest.json"
-    file.write_text("{}", encoding="utf-8")
+    file.write_text("{}", "utf-8")
     assert read_manifest(file) is None
     file.chmod(0o777)
     with refused("STORAGE-WRITE") as refusal:
@@ -105,7 +103,7 @@ def test_a_file_has_no_manifest(tmp_path):
 @pytest.mark.parametrize("outputs", [5, [5], "x"])
 def test_a_manifest_of_somebody_else_is_refused(tmp_path, outputs):
     text = {"fingerprint": "", "mission": "", "exit_code": 0, "outputs": outputs}
-    (tmp_path / "manifest.json").write_text(json.dumps(text), encoding="utf-8")
+    (tmp_path / "manifest.json").write_text(json.dumps(text), "utf-8")
     with refused("MANIFEST-UNREADABLE"):
         read_manifest(tmp_path)
 
@@ -226,7 +224,7 @@ def test_a_file_of_the_user_among_interrupted_results_does_not_stop_the_next_run
     commit(tmp_path, PART, "stations.parquet")
     folder = tmp_path / "observations"
     notes = folder / "notes.txt"
-    notes.write_text("mine", encoding="utf-8")
+    notes.write_text("mine", "utf-8")
 
     def full(source, target):
         raise OSError(28, "No space left on device")
@@ -243,7 +241,7 @@ def test_a_file_of_the_user_among_interrupted_results_does_not_stop_the_next_run
     assert names_in(folder) == {"notes.txt"}
     commit(tmp_path, PART, "stations.parquet")
     assert damage_of(tmp_path) == []
-    assert notes.read_text(encoding="utf-8") == "mine"
+    assert notes.read_text("utf-8") == "mine"
     assert not (tmp_path / ".staging").exists()
 
 

@@ -1,7 +1,5 @@
 """Nothing waits for ever: suspended processes, held locks, pipes in the place of results."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

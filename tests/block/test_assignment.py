@@ -3,8 +3,6 @@
 UNBEND_FLIGHTS (200) flights are drawn from UNBEND_SEED.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 

@@ -184,10 +184,8 @@ def with_attitudes(quaternion):
     ],
 )
 def test_cameras_that_look_up_are_refused(quaternion):
-    with refused("ORIENTATION-UP", MissionError) as refusal:
+    with refused("ORIENTATION-UP", MissionError, what="24 of 24 images", remedy="grad"):
         stations(with_attitudes(quaternion))
-    assert "24 of 24 images" in refusal.value.what
-    assert "grad" in refusal.value.remedy
 
 
 def test_a_single_camera_that_looks_up_is_suspect():

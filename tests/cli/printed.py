@@ -8,11 +8,6 @@ def longest(text):
     return max(len(line.rstrip()) for line in text.splitlines())
 
 
-def one_line(text):
-    """A text with single blanks between its words, however it was wrapped."""
-    return " ".join(text.split())
-
-
 def strict_json(text):
     """JSON as its standard has it: NaN and Infinity are no numbers."""
 

@@ -11,13 +11,14 @@ import pandas as pd
 import pytest
 import yaml
 
+from tests.helpers import one_line
 from tests.refraction.straight_lines import metres_apart
 from unbend import __version__
 from unbend.cli.app import GROUPS
 from unbend.ingest.flight_log import Log
 from unbend.refraction import angle
 
-from .printed import longest, one_line, strict_json
+from .printed import longest, strict_json
 
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
@@ -56,9 +57,8 @@ def test_an_example_on_two_lines_can_be_pasted(unbend, obeyed):
         obeyed(*example.replace("\\\n", " ").split())
 
 
-def test_version(unbend, obeyed):
-    assert unbend("--version").out == f"unbend {__version__}\n"
-    obeyed("--version")
+def test_version(obeyed):
+    assert obeyed("--version") == f"unbend {__version__}\n"
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ ANGLES = yaml.safe_load("""
 )
 def test_a_file_before_the_command(refusal_of, tmp_path, words, line):
     file = tmp_path / "flight"
-    file.write_text("", encoding="utf-8")
+    file.write_text("", "utf-8")
     text = refusal_of("COMMAND-ORDER", 2, *words.format(file=file).split())
     assert text.strip().endswith(f"write: {line.format(file=file)}")
 
@@ -231,8 +231,7 @@ IMPOSSIBLE_ANGLES = yaml.safe_load("""
 
 @pytest.mark.parametrize(("changes", "code"), IMPOSSIBLE_ANGLES)
 def test_an_angle_that_does_not_exist(refusal_of, changes, code):
-    text = refusal_of(code, 2, *angle_words(changes))
-    assert "to do: " in text
+    refusal_of(code, 2, *angle_words(changes))
 
 
 KEYS = {"format", "messages", "bad_bytes", "lost_messages", "boots", "channels", "duration_s"}

@@ -9,23 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.helpers import one_line
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile
 from unbend.batch import runs
 from unbend.refraction import METHODS
 
-from .printed import one_line
-
 HOUR_NS = 3600 * 10**9
-
-
-def test_run_with_force_runs_again(mission, plain_report):
-    first = mission.run()
-    second = mission.run()
-    forced = mission.run("--force")
-    assert "nothing to do" not in first.out
-    assert "nothing to do" in second.out
-    assert "nothing to do" not in forced.out
 
 
 @pytest.mark.parametrize(

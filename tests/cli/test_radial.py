@@ -4,9 +4,10 @@ import pandas as pd
 import pytest
 import yaml
 
+from tests.helpers import one_line
 from unbend.report.accuracy import text_hash
 
-from .printed import longest, one_line
+from .printed import longest
 
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 
@@ -88,8 +89,7 @@ IMPOSSIBLE = yaml.safe_load("""
 @pytest.mark.parametrize(("options", "code"), IMPOSSIBLE)
 def test_a_table_that_does_not_exist(refusal_of, options, code):
     heights = ("--camera-height", 3000, "--ground-height", 500)
-    text = refusal_of(code, 2, "angle", *heights, *options.split())
-    assert "to do: " in text
+    refusal_of(code, 2, "angle", *heights, *options.split())
 
 
 def test_compare_in_a_terminal(obeyed):

@@ -151,7 +151,7 @@ def test_the_command(obeyed, mission, tmp_path):
     assert plot.read_bytes().startswith(b"\x89PNG")
     rows = pd.read_csv(table, dtype=str)
     mission.run_to_manifest()
-    run = mission.stations().to_pandas()
+    run = mission.station_rows()
     nadir = run["camera"] == "nadir"
     assert rows["image"].tolist() == run["image"].tolist()
     numbers = "lat_deg lon_deg h_msl_m q_w pressure_pa"
@@ -164,7 +164,7 @@ def test_the_command(obeyed, mission, tmp_path):
 
 def test_losses_and_refusals_are_those_of_check(unbend, mission, refusal_of):
     """An image without an exposure is a loss; a format that is no picture is refused."""
-    rows = mission.measurements().to_pandas()
+    rows = mission.measured_rows()
     rows.loc[0, "image"] = "unknown.tif"
     mission.observe_text(rows.to_csv(index=False))
     ended = unbend("stations", mission.save())

@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 
-import pyarrow as pa
 import pytest
 import yaml
 
@@ -117,9 +116,9 @@ def test_a_refused_mission_is_in_the_json_and_on_standard_error(unbend, tmp_path
 
 
 def test_names_never_steer_the_terminal(unbend, mission):
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table["image"] = NASTY + table["image"]
-    mission.observe(pa.Table.from_pandas(table))
+    mission.observe_rows(table)
     config = mission.save()
     for command, file in (
         ("stations", config),

@@ -2,11 +2,11 @@
 
 import math
 import typing
-from pathlib import Path
 
 import pytest
 import yaml
 
+from tests.logs import REPOSITORY
 from unbend.config.atmosphere import AtmosphereSection, SoundingSection, SurfaceSection
 from unbend.config.cameras import CameraSection
 from unbend.config.event_sources import CsvEvents, LogEvents
@@ -20,8 +20,6 @@ from unbend.config.observation_table import ObservationsSection
 from unbend.config.windows import WindowSection
 from unbend.ingest.field_maps import STATED_UNITS
 from unbend.ingest.registry import SUFFIXES
-
-ROOT = Path(__file__).resolve().parents[2]
 
 CAMERA = {
     "width_px": 1000,
@@ -214,7 +212,7 @@ def test_the_formats_of_logs_are_those_that_can_be_read():
 
 
 def test_the_page_of_formats_names_every_extension_of_a_log():
-    page = (ROOT / "docs" / "pages" / "formats" / "index.md").read_text("utf-8")
+    page = (REPOSITORY / "docs" / "pages" / "formats" / "index.md").read_text("utf-8")
     for suffix in SUFFIXES:
         assert f"`{suffix}`" in page
 

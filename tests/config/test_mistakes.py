@@ -4,19 +4,18 @@ import copy
 import json
 import re
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 import yaml
 from pydantic import ValidationError
 
 from tests.helpers import refused
+from tests.logs import REPOSITORY
 from unbend.config import Mission, load_mission
 from unbend.config.mistakes import sentences_of
 from unbend.errors import ConfigError
 
-ROOT = Path(__file__).resolve().parents[2]
-BASE = yaml.safe_load((ROOT / "configs" / "sample_bin.yaml").read_text("utf-8"))
+BASE = yaml.safe_load((REPOSITORY / "configs" / "sample_bin.yaml").read_text("utf-8"))
 BASE |= yaml.safe_load("""
 stations: {trajectory: {path: a.pos, point: antenna, lever_arm_m: [0.0, 0.0, 0.0]}}
 atmosphere:
@@ -302,7 +301,7 @@ DECIMAL_COMMAS = yaml.safe_load("""
 @pytest.mark.parametrize(("before", "after", "says"), DECIMAL_COMMAS)
 def test_a_decimal_comma_is_named_wherever_a_number_is_expected(before, after, says, refusal):
     """In braces YAML takes the comma for the end of the number: the text is looked at."""
-    text = (ROOT / "configs" / "sample_bin.yaml").read_text("utf-8")
+    text = (REPOSITORY / "configs" / "sample_bin.yaml").read_text("utf-8")
     assert before in text
     error = refusal(text.replace(before, after, 1))
     assert says in error.what
@@ -394,23 +393,20 @@ def test_results_go_to_a_folder_that_is_not_named_as_a_file(name, refusal):
 )
 def test_another_file_in_the_place_of_a_mission_file_is_named(tmp_path, name, content, says):
     (tmp_path / name).write_bytes(content)
-    with refused("CONFIG-UNREADABLE") as refusal:
+    with refused("CONFIG-UNREADABLE", what=says):
         load_mission(tmp_path / name)
-    assert says in refusal.value.what
 
 
 def test_a_log_in_the_place_of_a_mission_file_is_named():
-    with refused("CONFIG-UNREADABLE") as refusal:
-        load_mission(ROOT / "sample_logs" / "flight.bin")
-    assert "is a flight log: ArduPilot DataFlash" in refusal.value.what
-    assert "unbend init" in refusal.value.remedy
+    with refused(
+        "CONFIG-UNREADABLE", what="is a flight log: ArduPilot DataFlash", remedy="unbend init"
+    ):
+        load_mission(REPOSITORY / "sample_logs" / "flight.bin")
 
 
 def test_a_folder_in_the_place_of_a_mission_file_is_named(tmp_path):
-    with refused("CONFIG-UNREADABLE") as refusal:
+    with refused("CONFIG-UNREADABLE", what="is a folder, not a mission file", remedy="unbend init"):
         load_mission(tmp_path)
-    assert "is a folder, not a mission file" in refusal.value.what
-    assert "unbend init" in refusal.value.remedy
     (tmp_path / "m.yaml").write_text("mission: {name: a}\n", "utf-8")
     with refused("CONFIG-UNREADABLE") as refusal:
         load_mission(tmp_path)

@@ -1,25 +1,24 @@
 """The JSON schema: every key has a text, numbers a unit, and it takes what the models take."""
 
 import re
-from pathlib import Path
 
 import jsonschema
 import pytest
 import yaml
 
 from tests.config.test_mission_file import FULL, SECTIONS_OF_NAMES, at, changed, keys_of
+from tests.logs import REPOSITORY
 from unbend.config.keys import mission_keys
 from unbend.config.schema import all_sections, campaign_schema, mission_schema, nodes_at
 from unbend.config.yaml_text import MissionLoader
 
-ROOT = Path(__file__).resolve().parents[2]
 KEYS = {key.path: key for key in mission_keys()}
 
 
 def missions():
     """The mission files of configs, and those in the documents."""
-    texts = [path.read_text("utf-8") for path in sorted(ROOT.glob("configs/*.yaml"))]
-    for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")):
+    texts = [path.read_text("utf-8") for path in sorted(REPOSITORY.glob("configs/*.yaml"))]
+    for page in (REPOSITORY / "README.md", *REPOSITORY.glob("docs/**/*.md")):
         text = page.read_text("utf-8")
         for block in re.findall(r"^```yaml\n(.*?)^```", text, re.S | re.M):
             if "output:" in block and "mission:" in block and "missions:" not in block:

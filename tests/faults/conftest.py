@@ -1,7 +1,5 @@
 """How many mutations: UNBEND_MUTATIONS (500) from UNBEND_SEED; and what is done with them."""
 
-from __future__ import annotations
-
 import csv
 import os
 import random
@@ -78,7 +76,7 @@ def write(tmp_path):
 
     def write_lines(name, lines):
         path = tmp_path / name
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        path.write_text("\n".join(lines) + "\n", "utf-8")
         return path
 
     return write_lines

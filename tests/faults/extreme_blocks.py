@@ -1,7 +1,5 @@
 """Blocks of other programs and the tags of images with fields at their limits."""
 
-from __future__ import annotations
-
 import struct
 import tempfile
 from functools import cache
@@ -84,7 +82,7 @@ def small_blocks():
         for kind, start in BLOCK_PROGRAMS.items():
             files = {}
             for path in sorted((folder / kind).iterdir()):
-                files[path.name] = path.read_text(encoding="utf-8")
+                files[path.name] = path.read_text("utf-8")
             kinds[kind] = (start, files)
     return kinds
 

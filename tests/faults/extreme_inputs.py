@@ -4,8 +4,6 @@ The structure of an input stays whole. The inputs by kind are those of
 `extreme_tables`, `extreme_blocks`, `extreme_weather` and `extreme_missions`.
 """
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable, Mapping
@@ -148,7 +146,7 @@ def of_texts(files, read: Callable[[Path], object]) -> Reader:
             content = extreme_fields(text, draw) if name == spoilt else text
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(content, encoding="utf-8")
+            path.write_text(content, "utf-8")
 
     return Reader(write, read)
 

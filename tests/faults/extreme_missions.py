@@ -94,7 +94,7 @@ def extreme_mission(text, draw):
 def write_mission(folder, draw):
     texts = mission_texts()
     text = texts[draw.choice(list(texts))]
-    (folder / "mission.yaml").write_text(extreme_mission(text, draw), encoding="utf-8")
+    (folder / "mission.yaml").write_text(extreme_mission(text, draw), "utf-8")
 
 
 def write_campaign(folder, draw):
@@ -104,7 +104,7 @@ def write_campaign(folder, draw):
     inside = "\n".join(f"    {line}" for line in text.splitlines())
     name = draw.choice((*YAML_WORDS, *WORDS, "*.yaml", "a.yaml"))
     content = f"campaign: c\ndefaults:\n{inside}\nmissions:\n- mission: {{name: a}}\n- {name}\n"
-    (folder / "campaign.yaml").write_text(content, encoding="utf-8")
+    (folder / "campaign.yaml").write_text(content, "utf-8")
 
 
 def derived_values(section):

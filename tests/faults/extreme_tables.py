@@ -1,7 +1,5 @@
 """Trajectories, orientations, events, points and observations with fields at their limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal

@@ -1,7 +1,5 @@
 """Soundings, reports, weather models and geoids with fields at their limits."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 
@@ -66,7 +64,7 @@ def sounding_of(text, format_name="auto") -> Reader:
 
 
 def head_of(name, lines=30):
-    text = next(SOUNDINGS.glob(name)).read_text(encoding="utf-8")
+    text = next(SOUNDINGS.glob(name)).read_text("utf-8")
     return "\n".join(text.splitlines()[:lines]) + "\n"
 
 
@@ -145,7 +143,7 @@ def read_weather_model(path):
 
 
 def read_report(path, ledger):
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text("utf-8")
     return parse_metar(text, 183.0, ledger, flight_ns=NOON_NS)
 
 

@@ -3,8 +3,6 @@
 `extreme_log` draws one by its format and a seed: the structure stays whole, the values do not.
 """
 
-from __future__ import annotations
-
 import random
 import struct
 from collections.abc import Callable

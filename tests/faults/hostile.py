@@ -4,13 +4,12 @@
 are proportional to it, except where they are compressed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from struct import pack
 
-from tests.ingest.written_logs import MavlinkWriter
+from tests.ingest.written_logs import MavlinkWriter, subscription, ulog_message
 from unbend.simulate.write_dataflash import FORMATS
 
 START_NS = 1_763_073_169_000_000_000
@@ -60,6 +59,24 @@ def packed_chunk(compression, promised, content, crc=0):
         crc,
     ) + text(compression)
     return record(6, head + pack("<Q", len(content)) + content)
+
+
+@cache
+def packed_zeros(compression, size):
+    """Whole mebibytes of zeros."""
+    import lz4.frame
+    import zstandard
+
+    if compression == "lz4":
+        packer = lz4.frame.LZ4FrameCompressor()
+        parts = [packer.begin()]
+    else:
+        packer = zstandard.ZstdCompressor().compressobj()
+        parts = []
+    block = bytes(1 << 20)
+    for _ in range(size >> 20):
+        parts.append(packer.compress(block))
+    return b"".join([*parts, packer.flush()])
 
 
 def chunk(records):
@@ -371,14 +388,6 @@ def damage_again_and_again(n):
 
 
 # PX4.
-
-
-def ulog_message(kind, payload):
-    return pack("<HB", len(payload), ord(kind)) + payload
-
-
-def subscription(number, topic, instance=0):
-    return ulog_message("A", pack("<BH", instance, number) + topic.encode())
 
 
 def baro_data(number, time_us, pressure_pa):

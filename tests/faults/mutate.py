@@ -7,8 +7,6 @@ same three give the same bytes on every machine.
 Mersenne twister is used because its numbers for a seed are promised not to change.
 """
 
-from __future__ import annotations
-
 import contextlib
 import random
 import resource

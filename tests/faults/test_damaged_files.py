@@ -4,8 +4,6 @@ Rasters of heights and undulations, weather models as netCDF-4 and GRIB, databas
 the damages of `mutate.KINDS`. Never another exception or a warning, never an impossible result.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -1,8 +1,5 @@
 """DataFlash logs with every kind of damage: whole, salvaged and said so, or refused with a code."""
 
-from __future__ import annotations
-
-import contextlib
 import math
 import random
 
@@ -10,6 +7,7 @@ import pytest
 
 from tests.faults.hostile import definition_of, packed
 from tests.faults.mutate import KINDS, REFUSALS, Trial, damage_reported
+from tests.ingest.dataflash.library import as_text
 from unbend.ingest import open_log
 from unbend.simulate.write_dataflash import FORMATS
 
@@ -134,22 +132,8 @@ def text_trial(tmp_path) -> Trial:
     logs = []
     for data in (one_boot(), two_boots()):
         binary.write_bytes(data)
-        logs.append(as_text(binary))
+        logs.append(as_text(binary).encode())
     return Trial(logs, ".log", open_log, tmp_path)
-
-
-def as_text(binary):
-    """What a ground station writes: one message a line, scaled fields in their unit."""
-    from pymavlink.DFReader import DFReader_binary
-
-    lines = []
-    with contextlib.closing(DFReader_binary(str(binary))) as reader:
-        while (record := reader.recv_msg()) is not None:
-            words = [record.get_type()]
-            for field in record.get_fieldnames():
-                words.append(str(getattr(record, field)))
-            lines.append(", ".join(words))
-    return "\n".join([*lines, ""]).encode()
 
 
 def test_mutations_of_logs_as_text(text_trial, run_mutations, mutation_count):

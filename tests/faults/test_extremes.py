@@ -1,7 +1,5 @@
 """Logs whose values are at their limits: read, with losses, or refused; never a traceback."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

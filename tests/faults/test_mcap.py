@@ -1,13 +1,11 @@
 """Damaged MCAP logs: whole, salvaged with a ledger, or refused with a code; no silent loss."""
 
-from __future__ import annotations
-
 import io
 import struct
 import time
 import tracemalloc
-from collections.abc import Iterator
-from functools import cache
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from itertools import islice
 from typing import NamedTuple
 
@@ -21,11 +19,13 @@ from tests.faults.hostile import (
     channel,
     message,
     packed_chunk,
+    packed_zeros,
     record,
     schema,
 )
 from tests.faults.mutate import REFUSALS, Trial, damage_reported, peak_bytes, work_unit_s
 from tests.helpers import NS_PER_S, codes_of_losses, with_code
+from tests.ingest.written_logs import opened
 from unbend.ingest import Log, open_log
 
 LIMIT = 128 << 20
@@ -160,13 +160,8 @@ def test_every_cut_of_the_first_and_last_1000_bytes(trial, run_cuts):
 
 
 @pytest.fixture
-def read(tmp_path):
-    def open_bytes(data) -> Log:
-        path = tmp_path / "damaged.mcap"
-        path.write_bytes(data)
-        return open_log(path)
-
-    return open_bytes
+def read(tmp_path) -> Callable[[bytes], Log]:
+    return partial(opened, tmp_path / "damaged.mcap")
 
 
 class ChunkOfLog(NamedTuple):
@@ -322,23 +317,6 @@ def test_a_data_section_that_fails_its_checksum_is_a_loss(read):
 
     assert damage.kind == "loss"
     assert "data section" in damage.what
-
-
-@cache
-def packed_zeros(compression, size):
-    import lz4.frame
-    import zstandard
-
-    if compression == "lz4":
-        packer = lz4.frame.LZ4FrameCompressor()
-        parts = [packer.begin()]
-    else:
-        packer = zstandard.ZstdCompressor().compressobj()
-        parts = []
-    block = bytes(1 << 20)
-    for _ in range(size >> 20):
-        parts.append(packer.compress(block))
-    return b"".join([*parts, packer.flush()])
 
 
 def schema_bomb(definition):

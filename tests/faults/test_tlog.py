@@ -1,7 +1,5 @@
 """Damaged telemetry logs: complete, salvaged with a ledger, or refused with a code."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest
@@ -9,8 +7,8 @@ import pytest
 from tests.faults.mutate import REFUSALS, Trial, mutated
 from tests.helpers import with_code
 from tests.ingest.tlog.test_log import PLACE, flight
-from unbend.errors import LogError
-from unbend.ingest import Log, open_log
+from tests.ingest.written_logs import opened
+from unbend.ingest import open_log
 
 YEAR_US = 31_536_000_000_000
 HYGROMETER = b"\x78\x32"  # the number of its message, which has no time since boot
@@ -81,16 +79,9 @@ def test_every_cut_of_the_first_and_last_1000_bytes(trial, run_cuts):
     assert ends["unreported"] <= 0.04 * ends.total() + 4
 
 
-def read(path, data) -> Log:
-    path.write_bytes(data)
-    return open_log(path)
-
-
 @pytest.mark.parametrize("junk", [b"", b"\xfd\xfe" * 3000, bytes(9000), bytes(range(256)) * 40])
-def test_what_is_no_log_is_refused(tmp_path, junk):
-    with pytest.raises(LogError) as caught:
-        read(tmp_path / "junk.tlog", junk)
-    assert caught.value.code in REFUSALS
+def test_what_is_no_log_is_refused(trial, junk):
+    assert trial.examine(0, junk, "junk") in REFUSALS
 
 
 def test_a_log_that_another_log_was_sent_through(tmp_path, logs):
@@ -108,14 +99,14 @@ def test_a_log_that_another_log_was_sent_through(tmp_path, logs):
     stamp = frames[50][:8]
     frames.insert(50, stamp + outer.pack(library.MAVLink(None, 9, 9)))
 
-    whole = read(tmp_path / "a.tlog", logs[0])
-    log = read(tmp_path / "a.tlog", b"".join(frames))
+    whole = opened(tmp_path / "a.tlog", logs[0])
+    log = opened(tmp_path / "a.tlog", b"".join(frames))
 
     assert dict(log.messages) == dict(whole.messages) | {"DATA96": 1}
 
 
 def test_a_stray_host_stamp_is_mended_and_counted(tmp_path, logs):
-    whole = read(tmp_path / "a.tlog", logs[0])
+    whole = opened(tmp_path / "a.tlog", logs[0])
     frames = frames_of(logs[0])
     row = next(k for k, frame in enumerate(frames) if k > 60 and frame[15:17] == HYGROMETER)
     frame = frames[row]
@@ -123,7 +114,7 @@ def test_a_stray_host_stamp_is_mended_and_counted(tmp_path, logs):
     for years in (-1, 3):
         moved_us = stamp_us + years * YEAR_US
         frames[row] = struct.pack(">Q", moved_us) + frame[8:]
-        log = read(tmp_path / "a.tlog", b"".join(frames))
+        log = opened(tmp_path / "a.tlog", b"".join(frames))
         (stray,) = with_code(log.ledger, "TIME-STRAY")
         assert stray.kind == "loss"
         assert stray.count == 1

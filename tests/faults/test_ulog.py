@@ -1,7 +1,5 @@
 """Damaged PX4 logs: complete, salvaged with a ledger, or refused with a code."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.faults.mutate import KINDS, REFUSALS, Trial, damage_reported, limited, work_unit_s

@@ -3,8 +3,6 @@
 Identifiers of 13 digits and more, other units, coarse quaternions, far zones, long paths.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -4,8 +4,6 @@ Truth is the simulator's, at every exposure. The faults are those of `injected_f
 by a second channel. 104 are drawn; with UNBEND_FLIGHTS of 208 or more, as in `make faults`, 208.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 

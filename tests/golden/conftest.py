@@ -1,16 +1,12 @@
 """Whole runs, made once for all the tests that look at them."""
 
-from pathlib import Path
-
 import pandas as pd
 import pytest
 import yaml
 
 import unbend
 from tests.conftest import without_plots
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-SHARED = REPOSITORY.parent / "shared"
+from tests.logs import REPOSITORY
 
 KINDS = ("bin", "tlog", "mcap")
 """The logs of the one sample flight."""
@@ -27,14 +23,14 @@ def run_mission(path):
 def write_mission(path, **sections):
     """A mission file from its sections."""
     text = yaml.safe_dump(sections, sort_keys=False)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, "utf-8")
     return path
 
 
 def sample_sections(kind, output):
     """The mission file of a sample log, with absolute paths and another output."""
     folder = REPOSITORY / "configs"
-    text = (folder / f"sample_{kind}.yaml").read_text(encoding="utf-8")
+    text = (folder / f"sample_{kind}.yaml").read_text("utf-8")
     sections = yaml.safe_load(text)
     for name in ("log", "observations"):
         path = folder / sections[name]["path"]

@@ -11,6 +11,7 @@ import pandas as pd
 import yaml
 from scipy.interpolate import make_interp_spline
 
+from tests.lens import brown
 from unbend.atmosphere import standard_atmosphere
 from unbend.simulate.flight import UNDULATION_M
 from unbend.simulate.optics import (
@@ -86,15 +87,6 @@ class HeldBlock:
     @property
     def camera_from_frame(self):
         return self.camera_from_enu @ axes_at(self.centre) @ enu_axes(LATITUDE, LONGITUDE).T
-
-
-def brown(x, y, k1, k2, p1, p2, k3):
-    """Tangents as a lens draws them: OpenCV's formula, with its order of the coefficients."""
-    r2 = x * x + y * y
-    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return u, v
 
 
 def distorted(tangents):
@@ -262,7 +254,7 @@ def write_mission(block, folder, **sections):
     config["cameras"] = {name: dict(camera) for name in dict.fromkeys(block.camera.tolist())}
     config |= sections
     path = folder / "mission.yaml"
-    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
+    path.write_text(yaml.safe_dump(config, sort_keys=False), "utf-8")
     return path
 
 

@@ -11,9 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.logs import REPOSITORY
 from unbend.batch.finished_run.export import export_run
 
-from .conftest import REPOSITORY, read_observations, run_sample
+from .conftest import read_observations, run_sample
 
 pytest.importorskip("pycolmap")
 pytest.importorskip("pyproj")
@@ -22,7 +23,7 @@ import pycolmap
 import pyproj
 
 PAGE = REPOSITORY / "docs" / "pages" / "guide" / "pycolmap.md"
-(RECIPE,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
+(RECIPE,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S)
 
 
 @pytest.fixture
@@ -159,7 +160,7 @@ def test_colmap_maps_the_database_that_comes_out(tmp_path, truth):
     uncorrected = tmp_path / "uncorrected.db"
     shutil.copy(corrected, uncorrected)
     restore_measured_keypoints(uncorrected, read_observations(run.output))
-    sidecar = json.loads((tmp_path / "corrected.db.unbend.json").read_text(encoding="utf-8"))
+    sidecar = json.loads((tmp_path / "corrected.db.unbend.json").read_text("utf-8"))
     up_m = true_heights(sidecar["notes"], truth["points"])
     points = {name: rows["point"].to_list() for name, rows in measured.groupby("image")}
 

@@ -8,9 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.helpers import NED_FROM_ENU
+from tests.logs import REAL
 from unbend.batch.executors import Outcome
 
-from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
+from .conftest import needs_shared, read_observations, run_mission, write_mission
 
 pytestmark = needs_shared
 
@@ -33,7 +34,7 @@ BODY_FROM_CAMERA = np.array(
 
 def kinds_of(name):
     """The extensions of the logs of a flight that are at hand: BIN and tlog."""
-    logs = sorted((SHARED / "logs").glob(f"{name}.*"))
+    logs = sorted(REAL.glob(f"{name}.*"))
     return [path.suffix.removeprefix(".") for path in logs]
 
 
@@ -74,7 +75,7 @@ BELOW_SEA = Flight("sitl_belowsea_2cam", {"left": 0, "right": 1}, -428.0)
 
 def fly(folder, flight, extension):
     """Correct points scattered over every image of a simulator log."""
-    truth = pd.read_csv(SHARED / "logs" / f"{flight.name}_truth.csv")
+    truth = pd.read_csv(REAL / f"{flight.name}_truth.csv")
     truth = truth[truth["row"] == "CAM"]
     feedback = "CAM" if extension == "BIN" else "CAMERA_FEEDBACK"
     images = []
@@ -90,7 +91,7 @@ def fly(folder, flight, extension):
     path = write_mission(
         folder / "mission.yaml",
         mission={"name": flight.name},
-        log={"path": str(SHARED / "logs" / f"{flight.name}.{extension}")},
+        log={"path": str(REAL / f"{flight.name}.{extension}")},
         observations={"path": "observations.parquet"},
         cameras={camera: dict(CAMERA) for camera in flight.cameras},
         mount={camera: {} for camera in flight.cameras},

@@ -23,12 +23,12 @@ from tests.golden.held_block import (
     NADIR,
     WIDTH,
     HeldBlock,
-    brown,
     fly,
     intersected,
     write_mission,
 )
 from tests.helpers import refused
+from tests.lens import brown
 from unbend.batch.finished_run.export import export_run
 
 from .conftest import run_mission
@@ -59,7 +59,7 @@ class Exported:
         written = export_run(self.run, "calibration", self.folder, options)
         assert written.rows == len(block.image)
         self.ledger = written.ledger
-        self.report = (self.folder / "calibration.txt").read_text(encoding="utf-8")
+        self.report = (self.folder / "calibration.txt").read_text("utf-8")
         images = pd.read_csv(self.folder / "images.csv", index_col="image")
         self.names = images["calibration"].unique().tolist()
         calibrations = images["calibration"][block.image]
@@ -106,7 +106,7 @@ def colmap_cameras(folder, work):
     work.mkdir()
     (work / "cameras.txt").write_bytes((folder / "cameras.txt").read_bytes())
     for name in ("images.txt", "points3D.txt"):
-        (work / name).write_text("", encoding="utf-8")
+        (work / name).write_text("", "utf-8")
     return dict(pycolmap.Reconstruction(str(work)).cameras)
 
 
@@ -288,7 +288,7 @@ def opensfm_pixels(
     v,
 ):
     """pixel = normalised * max(w, h) + (w - 1) / 2, its first pixel's centre at 0."""
-    models = json.loads((folder / "camera_models.json").read_text(encoding="utf-8"))
+    models = json.loads((folder / "camera_models.json").read_text("utf-8"))
     o = models[name]
     assert o["projection_type"] == "brown"
     x, y = brown(
@@ -311,7 +311,7 @@ def opencv_pixels(
     u,
     v,
 ):
-    text = (folder / f"{name}.yaml").read_text(encoding="utf-8")
+    text = (folder / f"{name}.yaml").read_text("utf-8")
     text = text.removeprefix("%YAML:1.0\n---\n").replace("!!opencv-matrix", "")
     cv = yaml.safe_load(text)
     fx, _, cx, _, fy, cy, *_ = cv["camera_matrix"]["data"]
@@ -321,9 +321,9 @@ def opencv_pixels(
 
 def test_every_file_is_the_same_camera(five, tmp_path):
     """Metashape's, OpenSfM's and OpenCV's formulas, written out, give pycolmap's pixels."""
-    text = (five.folder / "cameras.txt").read_text(encoding="utf-8")
+    text = (five.folder / "cameras.txt").read_text("utf-8")
     names = re.findall(r"^# \d+: (.*)$", text, re.M)
-    models = json.loads((five.folder / "camera_models.json").read_text(encoding="utf-8"))
+    models = json.loads((five.folder / "camera_models.json").read_text("utf-8"))
     assert names == five.names == list(models)
 
     u, v = map(np.ravel, np.meshgrid([-0.3, 0.1, 0.33], [-0.25, 0.05, 0.2]))
@@ -400,9 +400,9 @@ def test_each_flying_height_has_its_own(tmp_path):
 
 def test_a_calibration_that_has_refraction_in_would_count_twice(nadir, tmp_path):
     path = write_mission(nadir.block, tmp_path)
-    sections = yaml.safe_load(path.read_text(encoding="utf-8"))
+    sections = yaml.safe_load(path.read_text("utf-8"))
     sections["cameras"]["nadir"]["calibration"] = "in_flight_uncorrected"
-    path.write_text(yaml.safe_dump(sections), encoding="utf-8")
+    path.write_text(yaml.safe_dump(sections), "utf-8")
     run = run_mission(path).output
 
     assert codes_of_losses(run, tmp_path / "out") == ["EXPORT-CALIBRATION"]
@@ -444,7 +444,7 @@ def test_a_lens_that_no_program_holds_is_written_as_near_as_it_can(nadir, tmp_pa
     out = tmp_path / "out"
 
     assert "EXPORT-MODEL" in codes_of_losses(run, out)
-    report = (out / "calibration.txt").read_text(encoding="utf-8")
+    report = (out / "calibration.txt").read_text("utf-8")
     c = change_in(report, nadir.names[0], "mm")  # the report's own size of a pixel
     assert c["c0"] == pytest.approx(100.0)
     assert c["c"] / c["c0"] - 1.0 == pytest.approx(57e-6, rel=0.05)

@@ -1,16 +1,16 @@
 """The page of costs and accuracy has the figures of the pages and tests that it takes them from."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.logs import REPOSITORY
 from unbend import refraction_angle, standard_atmosphere
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-PAGE = (DOCS / "pages" / "guide" / "exact.md").read_text(encoding="utf-8")
-WHEN = (DOCS / "when.md").read_text(encoding="utf-8")
+DOCS = REPOSITORY / "docs"
+PAGE = (DOCS / "pages" / "guide" / "exact.md").read_text("utf-8")
+WHEN = (DOCS / "when.md").read_text("utf-8")
 
 
 def row(text, label):
@@ -91,7 +91,7 @@ def test_what_us_1976_leaves():
     ],
 )
 def test_the_errors_of_each_source_are_those_of_its_page(label, page, label_there, columns):
-    text = (DOCS / "pages" / page).read_text(encoding="utf-8")
+    text = (DOCS / "pages" / page).read_text("utf-8")
     there = row(text, label_there)
     expected = [there[column].removesuffix(" %") for column in columns]
     assert row(PAGE, label)[:3] == expected

@@ -19,9 +19,11 @@ import pytest
 import yaml
 
 import unbend
+from tests.helpers import one_line
+from tests.logs import REPOSITORY
 
 PACKAGE = Path(unbend.__file__).parent
-CONTRIBUTING = Path(__file__).resolve().parents[2] / "CONTRIBUTING.md"
+CONTRIBUTING = REPOSITORY / "CONTRIBUTING.md"
 
 LOG_FORMAT = '''
 """A toy: a line of text a sample, with time [ns] and pressure [Pa]."""
@@ -364,13 +366,13 @@ def copy(tmp_path_factory):
     for thing in THINGS.values():
         for name, content in thing.files.items():
             (folder / name).parent.mkdir(exist_ok=True)
-            (folder / name).write_text(content.lstrip(), encoding="utf-8")
+            (folder / name).write_text(content.lstrip(), "utf-8")
         for name, changes in thing.lines.items():
-            text = (folder / name).read_text(encoding="utf-8")
+            text = (folder / name).read_text("utf-8")
             for before, after in changes:
                 assert text.count(before) == 1, f"{before!r} does not stand once in {name}"
                 text = text.replace(before, after)
-            (folder / name).write_text(text, encoding="utf-8")
+            (folder / name).write_text(text, "utf-8")
     environment = {
         "PYTHONPATH": str(folder / "pipeline"),
         "NUMBA_CACHE_DIR": str(folder / "compiled"),
@@ -393,7 +395,7 @@ def copy(tmp_path_factory):
 
 def documented():
     """The table of CONTRIBUTING.md: new file, registry and line by kind of thing."""
-    text = CONTRIBUTING.read_text(encoding="utf-8")
+    text = CONTRIBUTING.read_text("utf-8")
     table = text.split("| new thing | new file | registry | line |\n")[1].split("\n\n")[0]
     rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in table.splitlines()[1:]]
     return {kind: (file, registry, line) for kind, file, registry, line in rows}
@@ -413,7 +415,7 @@ def test_a_toy_is_what_the_table_says(kind):
     assert [bool(pattern.fullmatch(name)) for name in new] == ([] if "none" in file else [True])
     assert [f"`{name}`" for name in thing.lines] == [registry]
     name = re.findall(r"`([^`]+)`", line)[0]
-    text = (PACKAGE.parents[1] / registry.strip("`")).read_text(encoding="utf-8")
+    text = (PACKAGE.parents[1] / registry.strip("`")).read_text("utf-8")
     assert re.search(rf"^{name}\b", text, re.MULTILINE)
     changes = [change for changes in thing.lines.values() for change in changes]
     added = []
@@ -460,7 +462,7 @@ def test_a_refraction_method(copy):
     assert "toy" in copy.unbend("angle", *words, "--method", "none of them", code=2)
     assert "toy" in copy.unbend("angle", "--help")
     copy.unbend("tables", "accuracy", "--out", "page.md")
-    assert "`toy` minus `spherical`" in (copy.folder / "page.md").read_text(encoding="utf-8")
+    assert "`toy` minus `spherical`" in (copy.folder / "page.md").read_text("utf-8")
 
 
 def test_a_sounding_format(copy):
@@ -494,7 +496,7 @@ def test_a_camera_file(copy):
 
 
 def test_an_export(copy, baseline):
-    shown = " ".join(copy.unbend("export", "--help").split())
+    shown = one_line(copy.unbend("export", "--help"))
     assert "names of the images" in shown
     assert "--times" in shown
     assert "how often each name is written" in shown

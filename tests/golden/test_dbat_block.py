@@ -26,6 +26,7 @@ from tests.dbat_project import (
     SIZE_PX,
     write_project,
 )
+from tests.logs import SHARED
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.flight.stations import empty_stations
@@ -36,8 +37,6 @@ from unbend.simulate.optics import enu_axes, height_and_up, to_ecef
 from unbend.tables.exports import FORMATS, ExportCamera, FinishedRun
 from unbend.tables.imports.blocks import block_reader, dbat
 from unbend.tables.pixels import COLMAP
-
-from .conftest import SHARED
 
 pytest.importorskip("pycolmap")
 
@@ -126,7 +125,7 @@ class Project:
 def table(path):
     """The cells of the rows of a file; from # on a line is a comment."""
     rows = []
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in path.read_text("utf-8").splitlines():
         row = line.partition("#")[0]
         if row.strip():
             rows.append([cell.strip() for cell in row.split(",")])
@@ -135,7 +134,7 @@ def table(path):
 
 def poses_of_report(path):
     """Angles and places of the photos, from the part before the qualities."""
-    report = path.read_text(encoding="utf-8").partition("\n   Quality")[0]
+    report = path.read_text("utf-8").partition("\n   Quality")[0]
     poses = {}
     for photo in report.split(" Photo ")[1:]:
         name = photo.partition(": ")[2].split()[0]

@@ -10,7 +10,7 @@ pytest.importorskip("pycolmap")
 from docs.gallery.plates import FOLDER, THEMES, numbers_of
 
 SCRIPTS = FOLDER.parents[1] / "gallery"
-TEXTS = tomllib.loads((SCRIPTS / "texts.toml").read_text(encoding="utf-8"))
+TEXTS = tomllib.loads((SCRIPTS / "texts.toml").read_text("utf-8"))
 PARTS = {
     "sources": {"numbers": (5,)},
     "adjusted_block": {"names": ("uncorrected", "corrected")},
@@ -52,7 +52,7 @@ def test_the_numbers_of_the_page_come_out_again(name):
 
 @pytest.mark.parametrize("name", TEXTS)
 def test_a_picture_is_there_in_both_themes(name):
-    page = (FOLDER / "index.md").read_text(encoding="utf-8")
+    page = (FOLDER / "index.md").read_text("utf-8")
     title = TEXTS[name]["title"]
     for theme in THEMES:
         file = f"{name}-{theme}.png"
@@ -63,7 +63,7 @@ def test_a_picture_is_there_in_both_themes(name):
 
 def test_scripts_are_short():
     for path in SCRIPTS.glob("*.py"):
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text("utf-8").splitlines()
         assert len(lines) <= 90, path.name
 
 

@@ -7,7 +7,9 @@ import sys
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .conftest import REPOSITORY, sample_sections, write_mission
+from tests.logs import REPOSITORY
+
+from .conftest import sample_sections, write_mission
 
 ROWS = 10_000_000
 

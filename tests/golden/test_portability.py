@@ -10,8 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-ROOT = Path(__file__).resolve().parents[2]
-SAMPLE = ROOT / "configs" / "sample_bin.yaml"
+from tests.logs import REPOSITORY
+
+SAMPLE = REPOSITORY / "configs" / "sample_bin.yaml"
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/fd").is_dir(), reason="what is open is read from /proc"
@@ -43,7 +44,7 @@ def like_windows(tmp_path_factory):
     )
     inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT), *filter(None, inherited)]),
+        "PYTHONPATH": os.pathsep.join([str(folder), str(REPOSITORY), *filter(None, inherited)]),
         "PYTHONWARNDEFAULTENCODING": "1",
         "PYTHONIOENCODING": "cp1252",
     }
@@ -69,13 +70,13 @@ def like_windows(tmp_path_factory):
 
 def sample(folder, name):
     """The sample's mission file with absolute inputs and a folder of results of its own."""
-    config = yaml.safe_load(SAMPLE.read_text(encoding="utf-8"))
+    config = yaml.safe_load(SAMPLE.read_text("utf-8"))
     for section in ("log", "observations"):
         config[section]["path"] = str((SAMPLE.parent / config[section]["path"]).resolve())
     config["mission"]["name"] = name
     config["output"]["path"] = f"results/{name}"
     path = folder / f"{name}.yaml"
-    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
+    path.write_text(yaml.safe_dump(config, sort_keys=False), "utf-8")
     return path
 
 
@@ -122,13 +123,13 @@ os.rmdir("gone")
 
 def test_a_library_keeps_what_it_has_on_linux(like_windows):
     """It opens, renames and removes files of its own; the folder they were in is free then."""
-    (like_windows.folder / "library.py").write_text(LIBRARY, encoding="utf-8")
+    (like_windows.folder / "library.py").write_text(LIBRARY, "utf-8")
     like_windows("-c", KEPT)
 
 
 def test_what_a_library_holds_open_is_held(like_windows):
     library = "import os\ndef held(path):\n    return open(path, 'rb')\n"
-    (like_windows.folder / "holder.py").write_text(library, encoding="utf-8")
+    (like_windows.folder / "holder.py").write_text(library, "utf-8")
     made = "import holder, os\nopen('read', 'wb').close()\nfile = holder.held('read')\n"
     like_windows("-c", made)
     with pytest.raises(AssertionError, match="WinError 32"):
@@ -173,7 +174,9 @@ def test_missions_run_again_and_side_by_side(like_windows, mission_factory, tmp_
 
 
 def test_logs_are_inspected(like_windows):
-    logs = [str(ROOT / "sample_logs" / f"flight.{suffix}") for suffix in ("bin", "tlog", "mcap")]
+    logs = [
+        str(REPOSITORY / "sample_logs" / f"flight.{suffix}") for suffix in ("bin", "tlog", "mcap")
+    ]
     words = [["inspect", log, "--json"] for log in logs] + [["inspect", logs[0]]]
     *texts, shown, _ = like_windows("-c", COMMANDS, json.dumps(words)).split("\f")
     assert len(texts) == 3

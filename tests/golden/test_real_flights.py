@@ -7,11 +7,12 @@ import pandas as pd
 import pytest
 
 from tests.helpers import NS_PER_S
+from tests.logs import REAL
 from unbend.errors import MissionError
 from unbend.ingest import open_log
 from unbend.report.summary import remarks, verdict
 
-from .conftest import SHARED, needs_shared, read_observations, run_mission, write_mission
+from .conftest import needs_shared, read_observations, run_mission, write_mission
 from .test_autopilot_logs import CAMERA, scattered_points
 
 pytestmark = needs_shared
@@ -25,7 +26,7 @@ def fly(
     **log,
 ):
     """Exposures every few seconds over the attitude channel, five points in each image."""
-    path = SHARED / "logs" / name
+    path = REAL / name
     channels = [channel for channel in open_log(path).channels if "attitude" in channel.roles]
     attitude = min(channels, key=lambda channel: channel.rank)
     start = attitude.time_ns[0] + NS_PER_S

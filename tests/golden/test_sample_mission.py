@@ -14,14 +14,12 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from tests.physics.ray_on_sphere import ray_angle_sphere
 from unbend import correct
 from unbend.atmosphere import profile_from_table
-from unbend.atmosphere.refractive_index import IndexModel
 from unbend.batch.runs import read_mission
 from unbend.config import load_mission
 from unbend.geodesy import lambert_gravity
-from unbend.refraction import Exposures, bend, correct_observations, ray_table
+from unbend.refraction import Exposures, correct_observations, ray_table
 from unbend.units import ARCSEC, DEGREE
 
 from .conftest import (
@@ -162,42 +160,6 @@ def test_cabin_air_changes_r_cc_as_the_truth_does(kind, runs, truth):
     assert np.abs(r_cc - true["r_cc_rad"]).max() / ARCSEC < 0.1
 
 
-def test_kernel_against_the_ode_on_the_true_profile(truth):
-    """The ray kernel and the ODE through the very same air, layers of 50 m with an inversion."""
-    table = truth["profile"]
-    air = profile_of(table[table["h_m"] % 50.0 == 0.0], latitude_rad=0.83)
-    camera_m = 3450.0
-    ground_m = 412.0
-    radius_m = 6.38e6
-    breaks = air.break_heights_m
-    between = tuple(breaks[(breaks > ground_m) & (breaks < camera_m)])
-
-    def index(h):
-        return 1.0 + float(air.refractivity(h))
-
-    for zeta_deg in (0.2, 45.0, 75.0, 85.0):
-        zeta = zeta_deg * DEGREE
-        bent, _ = bend(
-            ray_table(air),
-            camera_m,
-            ground_m,
-            np.sin(zeta),
-            np.cos(zeta),
-            radius=radius_m,
-        )
-        expected = ray_angle_sphere(index, camera_m, ground_m, zeta, radius_m, breaks=between)
-        assert abs(float(bent) - expected) / ARCSEC < 1e-6
-
-
-def test_refractive_indices_agree(true_profile, truth):
-    """Our Ciddor against the simulator's Edlén over the true air: 1e-7 of n."""
-    table = truth["profile"]
-    low = table["h_m"] < 4000.0
-    refractivity = true_profile.refractivity(table["h_m"][low])
-    assert np.abs(refractivity - table["refractivity"][low]).max() < 1e-7
-    assert IndexModel().name == "ciddor"
-
-
 def test_sample_logs_are_small():
     logs = [Path(sample_sections(kind, Path("out"))["log"]["path"]) for kind in KINDS]
     assert [log.name for log in logs] == [f"flight.{kind}" for kind in KINDS]
@@ -208,7 +170,7 @@ def test_tables_in_memory_give_the_rows_of_the_run(runs):
     """To the last bit, columns of uncertainty included: `correct` with the flight's air."""
     run = runs["bin"].output
     mission = run.with_name("bin.yaml")
-    sections = yaml.safe_load(mission.read_text(encoding="utf-8"))
+    sections = yaml.safe_load(mission.read_text("utf-8"))
     expected = pq.read_table(run / "observations")
 
     rows = correct(
@@ -221,7 +183,7 @@ def test_tables_in_memory_give_the_rows_of_the_run(runs):
 
     assert rows.num_rows == 2188
     assert rows.cast(expected.schema).equals(expected)
-    manifest = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
+    manifest = json.loads((run / "manifest.json").read_text("utf-8"))
     for name in ("uncertainty", "cabin_air"):
         text = rows.schema.metadata[f"unbend.{name}".encode()]
         assert json.loads(text) == manifest[name]
@@ -233,6 +195,6 @@ def test_the_gallery_shows_this_flight(runs):
 
     shown = sample_flight.rows(runs["bin"].output)
     assert shown == numbers_of("sample_flight")
-    page = (REPOSITORY / "docs/pages/theory/uncertainty.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "docs/pages/theory/uncertainty.md").read_text("utf-8")
     share = runs["bin"].manifest.values["uncertainty"]["variance_share"]
     assert f"In the sample flight it is {share:.2f}:" in page

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tests.logs import REPOSITORY
 from unbend import correct, standard_atmosphere
 from unbend.atmosphere import Profile
 from unbend.atmosphere.covariance import ProfileCovariance
@@ -21,11 +22,9 @@ from unbend.atmosphere.series.profile_series import TimedProfile
 from unbend.refraction import WindowRays, leading_mode
 from unbend.simulate.optics import enu_axes, height_and_up, shoot, to_ecef, unit
 
-from .conftest import REPOSITORY
-
 Array = NDArray[np.float64]
 
-PAGE = (REPOSITORY / "docs" / "scale_parameter.md").read_text(encoding="utf-8")
+PAGE = (REPOSITORY / "docs" / "scale_parameter.md").read_text("utf-8")
 (RECIPE,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
 
 LAT = np.radians(47.45)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from .conftest import REPOSITORY
+from tests.logs import REPOSITORY
 
 # As the user's shell has it, who may have a cache of pip: a test's own home is empty.
 SHELL = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}

@@ -21,11 +21,10 @@ from docs.when import (
 )
 from tests.draws import SEED
 from tests.golden.adjusted_block import real_airs
-
-from .conftest import REPOSITORY
+from tests.logs import REPOSITORY
 
 COUNT = min(int(os.environ.get("UNBEND_ADJUSTMENTS", "1")), 9)
-TEXT = DOCUMENT.read_text(encoding="utf-8")
+TEXT = DOCUMENT.read_text("utf-8")
 TABLES = {"Uncorrected [m]": CASES, "Corrected [m]": CASES, "Errors that remain": AIRS}
 
 
@@ -90,5 +89,5 @@ def test_what_it_says_holds_in_every_air():
 
 def test_the_readme_shows_its_ten_lines():
     lines = TEXT.split("## Main results\n")[1].split("\nAnother layout")[0].strip()
-    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    readme = (REPOSITORY / "README.md").read_text("utf-8")
     assert lines in readme

@@ -255,6 +255,15 @@ class McapWriter:
         return self.file.getvalue()
 
 
+def ulog_message(kind, payload):
+    return struct.pack("<HB", len(payload), ord(kind)) + payload
+
+
+def subscription(number, topic, instance=0):
+    """The message by which a topic gets a number."""
+    return ulog_message("A", struct.pack("<BH", instance, number) + topic.encode())
+
+
 class ULogWriter:
     """Writes the messages of a ULog file by hand: definitions, subscriptions, data."""
 
@@ -264,7 +273,7 @@ class ULogWriter:
         self.ids: dict[tuple[str, int], int] = {}
 
     def message(self, kind, payload):
-        self.data += struct.pack("<HB", len(payload), ord(kind)) + payload
+        self.data += ulog_message(kind, payload)
 
     def define(self, name, fields):
         self.message("F", f"{name}:uint64_t timestamp;{fields}".encode())
@@ -273,10 +282,7 @@ class ULogWriter:
         for name in names:
             number = len(self.ids)
             self.ids[name, instance] = number
-            self.message(
-                "A",
-                struct.pack("<BH", instance, number) + name.encode(),
-            )
+            self.data += subscription(number, name, instance)
 
     def row(self, name, layout, *values, instance=0):
         number = struct.pack("<H", self.ids[name, instance])

@@ -1,5 +1,7 @@
 """Single rays, and the air in which their angles are known to 40 digits."""
 
+import math
+
 import numpy as np
 
 from tests.physics.ray_on_sphere import ray_angle_sphere
@@ -25,6 +27,12 @@ def bent(table, h_c, h_g, zeta, radius=RADIUS, **options):
         radius=radius,
         **options,
     )
+
+
+def touching_angle(profile, h_c, h_g=0.0):
+    """Nadir angle [rad] of the ray that just touches a height, by default sea level."""
+    n_c, n_g = 1.0 + profile.refractivity([h_c, h_g])
+    return math.asin(n_g * (RADIUS + h_g) / (n_c * (RADIUS + h_c)))
 
 
 def arcsec(profile, h_c, h_g, zeta):

@@ -42,22 +42,6 @@ def test_index_and_method_are_those_asked_for():
     assert 1e-5 < 1.0 - plane / default < 5e-3
 
 
-@pytest.mark.parametrize(
-    ("distance", "status"),
-    [
-        (None, "beyond_grazing"),
-        (12_000.0, "ok"),
-        (240_000.0, "far_branch"),
-    ],
-)
-def test_the_slant_range_says_which_crossing_is_meant(distance, status):
-    angle = one_angle("us1976", 3000.0, 2800.0, 89.0, distance=distance)
-    assert angle["status"] == status
-    assert angle["distance_m"] == distance
-    # By hand: 110 m at the near crossing, 36 km at the far one.
-    assert (angle["ground_m"] > 1000.0) == (status == "far_branch")
-
-
 @pytest.mark.parametrize("distance", [0.0, -1.0, math.inf, math.nan])
 def test_what_is_no_slant_range_is_refused(distance):
     with refused("ANGLE-DISTANCE", PhysicsError):

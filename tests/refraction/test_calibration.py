@@ -64,32 +64,23 @@ def test_sound_cameras_pass(sound):
 
 
 @pytest.mark.parametrize(
-    ("focal", "distortion", "number"),
+    ("focal", "distortion", "code", "number"),
     [
-        (35.0, UNDISTORTED, "178 degrees"),
-        (500.0, UNDISTORTED, "152 degrees"),
-        (35.0, OpenCVFisheye(), "6548"),
-    ],
-)
-def test_impossible_fields_of_view_are_refused(focal, distortion, number):
-    with refused("CAMERA-FIELD", PhysicsError) as refusal:
-        refuse_impossible(camera(4000, 3000, focal, distortion))
-    assert refusal.match(number)
-
-
-@pytest.mark.parametrize(
-    ("focal", "distortion", "number"),
-    [
+        (35.0, UNDISTORTED, "CAMERA-FIELD", "178 degrees"),
+        (500.0, UNDISTORTED, "CAMERA-FIELD", "152 degrees"),
+        (35.0, OpenCVFisheye(), "CAMERA-FIELD", "6548"),
         # 45 degrees, where the image reaches 0.67: r_d = 0.73.
-        (3000.0, BrownConrady(k1=THIRD), "45.0 degrees"),
-        (3740.0, BrownConrady(k1=THIRD), "45.0 degrees"),
-        (3000.0, BrownConrady(p1=0.3), "off the axis"),
-        (1700.0, OpenCVFisheye(k1=THIRD), "57.3 degrees"),
-        (3000.0, GeneralFrame(k1=-0.5, sense=-1.0), "30 %"),
+        (3000.0, BrownConrady(k1=THIRD), "CAMERA-TURNS", "45.0 degrees"),
+        (3740.0, BrownConrady(k1=THIRD), "CAMERA-TURNS", "45.0 degrees"),
+        (3000.0, BrownConrady(p1=0.3), "CAMERA-TURNS", "off the axis"),
+        (1700.0, OpenCVFisheye(k1=THIRD), "CAMERA-TURNS", "57.3 degrees"),
+        (3000.0, GeneralFrame(k1=-0.5, sense=-1.0), "CAMERA-TURNS", "30 %"),
     ],
 )
-def test_distortions_that_turn_back_in_the_image_are_refused(focal, distortion, number):
-    with refused("CAMERA-TURNS", PhysicsError) as refusal:
+def test_impossible_fields_and_distortions_that_turn_back_are_refused(
+    focal, distortion, code, number
+):
+    with refused(code, PhysicsError) as refusal:
         refuse_impossible(camera(4000, 3000, focal, distortion))
     assert refusal.match(number)
 

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from tests.lens import brown
 from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.images import AHEAD, DOWN, RADIUS, corrected, exposure, turned
 from tests.refraction.rays import AIR, TABLE
@@ -74,12 +75,7 @@ PIXELS = np.array(
 
 
 def distorted_by_brown(p, point):
-    u, v = point
-    r2 = u * u + v * v
-    radial = 1.0 + p.k1 * r2 + p.k2 * r2**2 + p.k3 * r2**3
-    du = 2.0 * p.p1 * u * v + p.p2 * (r2 + 2.0 * u * u)
-    dv = 2.0 * p.p2 * u * v + p.p1 * (r2 + 2.0 * v * v)
-    return radial * point + np.array([du, dv])
+    return np.array(brown(*point, p.k1, p.k2, p.p1, p.p2, p.k3))
 
 
 def distorted_by_fisheye(p, point):

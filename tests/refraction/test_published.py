@@ -599,30 +599,6 @@ def test_a_spherical_ray_by_gyer_passes_over_the_ground():
     assert status.tolist() == [OK, MISSES_GROUND]
 
 
-@pytest.mark.parametrize("name", ["spherical", "plane", "gyer1996"])
-@pytest.mark.parametrize(
-    ("h_c", "radius"),
-    [
-        (inf, RADIUS),
-        (-inf, RADIUS),
-        (6000.0, nan),
-        (6000.0, inf),
-        (6000.0, 0.0),
-        (6000.0, -1.0),
-    ],
-)
-def test_refusals_of_methods_are_those_of_the_spherical_ray(name, h_c, radius):
-    with refused("RAY-BAD-MEASUREMENT", PhysicsError):
-        refraction_angle(
-            US1962,
-            h_c,
-            0.0,
-            DIAGONAL,
-            radius,
-            method=name,
-        )
-
-
 @pytest.mark.parametrize(
     ("h_c", "h_g"),
     [

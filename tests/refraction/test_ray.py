@@ -10,7 +10,7 @@ from numpy.polynomial.polynomial import polyval
 from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.exact_rays import ExactRays, RaysOfTable
 from tests.refraction.images import RADIUS
-from tests.refraction.rays import AIR, TABLE, arcsec, integrated_arcsec
+from tests.refraction.rays import AIR, TABLE, arcsec, integrated_arcsec, touching_angle
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.estimate.adjusted_profile import build_adjusted_profile
@@ -78,9 +78,7 @@ def test_random_rays_against_forty_digits():
 @pytest.mark.parametrize("h_c", [50.0, 1000.0, 10_000.0, 25_000.0])
 def test_near_grazing_against_forty_digits(h_c, below):
     """``below`` degrees under the nadir angle at which the ray would just touch sea level."""
-    n_c, n_g = 1.0 + AIR.refractivity([h_c, 0.0])
-    touching = math.asin(n_g * RADIUS / (n_c * (RADIUS + h_c)))
-    zeta = touching - below * DEGREE
+    zeta = touching_angle(AIR, h_c) - below * DEGREE
     angle = arcsec(AIR, h_c, 0.0, zeta)
     expected = ExactRays(30).angle(
         h_c,

@@ -3,13 +3,13 @@
 import io
 import re
 import zlib
-from pathlib import Path
 
 import pytest
 
+from tests.logs import REPOSITORY
 from unbend.report.accuracy import compare_all, text_hash
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "accuracy.md"
+PAGE = REPOSITORY / "docs" / "accuracy.md"
 
 
 @pytest.fixture(scope="module")

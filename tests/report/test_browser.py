@@ -47,7 +47,7 @@ def with_model_and_flagged_rows(mission):
     heights, cells = terrain_grid("EPSG:4326", lon_deg, lat_deg, 22.5)
     write_raster(mission.folder / "dem.tif", heights.astype(np.float32), cells)
     mission.config["ground"] = {"height": {"dem": "dem.tif"}, "reference": "msl", "sigma_m": 1.5}
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table.loc[table.index[::9], "x_px"] = 99_999.0
     table.loc[table.index[4::31], "y_px"] = np.nan
     first = table["image"].iloc[0]
@@ -64,7 +64,7 @@ def without_log(mission, baseline):
         del mission.config[section]
     for camera in mission.config["cameras"].values():
         del camera["window"]
-    stations = baseline.stations().to_pandas().drop(columns=["time_utc", "geometry"])
+    stations = baseline.station_rows().drop(columns=["time_utc", "geometry"])
     stations.to_csv(mission.folder / "stations.csv", index=False)
     mission.config["stations"] = yaml.safe_load("""
     orientation:

@@ -14,6 +14,7 @@ import yaml
 from matplotlib.collections import PolyCollection
 from rich.console import Console
 
+from tests.helpers import one_line
 from unbend.atmosphere.air_samples import AirSamples, SensorSamples, SensorUse
 from unbend.atmosphere.estimate.sensors import FAULT_TEXTS
 from unbend.atmosphere.estimate.solver import FaultEstimate
@@ -284,7 +285,7 @@ def printed(write, *arguments, **options):
 
 
 def in_one_line(lines):
-    return " ".join(" ".join(lines).split())
+    return one_line(" ".join(lines))
 
 
 def text_of_run(values, *, repeated=False):
@@ -302,7 +303,7 @@ def test_every_number_of_the_terminal():
     text = in_one_line(lines)
     assert lines[0] == "ridge [1]"
     assert VERDICT in text
-    heads = [" ".join(line.split()) for line in lines]
+    heads = [one_line(line) for line in lines]
     first = heads.index("median 95 % maximum") + 1
     assert cells(lines[first : first + 8]) == CORRECTION[1:]
     ledger = " ".join(f"{kind} {code}: {sentence}" for kind, code, sentence in LEDGER[:4])
@@ -400,7 +401,7 @@ def test_every_curve_of_the_air(air):
     assert heights == [1200.0, 1900.0]
     assert moist == pytest.approx([0.5 * buck(282.2, 904.0), buck(277.65, 848.0)], rel=5e-3)
     (text,) = words.texts
-    assert " ".join(text.get_text().split()) == " ".join(EFFECTS)
+    assert one_line(text.get_text()) == " ".join(EFFECTS)
     legend = [entry.get_text() for entry in words.get_legend().get_texts()]
     assert legend == lines_of("""
         HYGR[0], used
@@ -457,7 +458,7 @@ source: measured
 def test_every_cell_of_a_profile():
     unknown = {"sigma_temperature_k": None, "sigma_refractivity": None, "source": "standard"}
     lines = printed(print_profile, [PROFILE_ROW, PROFILE_ROW | unknown], "us[1]")
-    rows = [" ".join(line.split()) for line in lines[:4]]
+    rows = [one_line(line) for line in lines[:4]]
     assert rows == lines_of("""
         h T ± std p std e std N ± std source
         [m] [K] [K] [hPa] [hPa] [hPa] [hPa] [ppm] [ppm]
@@ -602,7 +603,7 @@ def test_every_number_of_a_log():
     """)
     log["ledger"] = MANIFEST["ledger"]
     lines = printed(print_log, log, "a[1].mcap")
-    assert [" ".join(line.split()) for line in lines[:7]] == lines_of("""
+    assert [one_line(line) for line in lines[:7]] == lines_of("""
         a[1].mcap: mcap, 1234.6 s
         place 47.123°, -8.456°
         time 2025-06-12 09:00:01 to 09:20:36 UTC

@@ -6,6 +6,7 @@ import pytest
 import yaml
 from rich.console import Console
 
+from tests.helpers import one_line
 from unbend.report.inspected_weather import print_metars, print_model, print_sounding
 
 from .text_tables import lines_of
@@ -30,7 +31,7 @@ def printed_lines(printer, contents):
     """The lines that are printed, each with one blank between its words."""
     file = io.StringIO()
     printer(Console(file=file, width=400), contents, "era5.nc")
-    return [" ".join(line.split()) for line in file.getvalue().splitlines() if line.strip()]
+    return [one_line(line) for line in file.getvalue().splitlines() if line.strip()]
 
 
 def test_what_is_printed_of_a_weather_model():

@@ -1,10 +1,10 @@
 """What a run means and what to do next, from the manifests of runs that went well or wrong."""
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import yaml
 
+from tests.helpers import one_line
 from unbend.report.concerns import steps_of_losses
 from unbend.report.summary import next_steps, outcome, remarks
 from unbend.stages.messages import flight_of_unknown_hour
@@ -34,7 +34,7 @@ def run_to_verdict(mission, code):
     manifest = mission.manifest()
     steps = " ".join(steps_of(manifest))
     verdict = verdict_of(manifest)
-    printed = " ".join(ended.out.split())
+    printed = one_line(ended.out)
     assert verdict in printed
     assert steps in printed
     return manifest, verdict, steps
@@ -42,9 +42,9 @@ def run_to_verdict(mission, code):
 
 def with_heights(mission, heights):
     """Give the ground heights of the measurements as a function of those simulated."""
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table["h_g_m"] = heights(table["h_g_m"])
-    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
+    mission.observe_rows(table)
 
 
 def test_all_corrected(baseline):

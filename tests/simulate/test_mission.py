@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose
 from pymavlink import DFReader, mavutil
 from scipy.spatial.transform import Rotation
 
-from tests.golden.held_block import brown
 from tests.helpers import refused
+from tests.lens import brown
 from unbend.simulate import SimulationOptions, simulate
 from unbend.simulate.sensors import LOG_BEGINS_BOOT_US, LOG_BEGINS_UNIX_NS
 

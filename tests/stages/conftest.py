@@ -6,7 +6,9 @@ import yaml
 
 from tests.conftest import without_plots
 from tests.stages.block_files import CABIN
+from tests.stages.flown_files import Files
 from unbend.simulate import SimulationOptions, simulate
+from unbend.simulate.flight import fly
 
 
 @pytest.fixture
@@ -58,3 +60,15 @@ def crossing_lines(crossing_flight):
         del camera["window"]
     truth = pd.read_parquet(crossing_flight.truth / "stations.parquet")
     return file.parent, config, truth
+
+
+@pytest.fixture(scope="session")
+def truth(flown):
+    """Camera stations by image, and the flight as a function of time."""
+    stations = pd.read_parquet(flown.truth / "stations.parquet")
+    return stations.set_index("image"), fly(2500.0, 1, 3)
+
+
+@pytest.fixture
+def files(mission, truth):
+    return Files(mission, *truth)

@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pytest
 
-from unbend.simulate.flight import UNDULATION_M, fly
+from unbend.simulate.flight import UNDULATION_M
 
 CAMERAS = ("nadir", "oblique")
 NEAR_M = 0.15  # events are 1.6 ms off by the clock of the log, at 70 m/s
@@ -21,18 +20,6 @@ POS_HEAD = """\
 %  GPST latitude(deg) longitude(deg) height(m) Q ns sdn(m) sde(m) sdu(m) sdne(m) sdeu(m) sdun(m) \
 age(s) ratio
 """
-
-
-@pytest.fixture(scope="session")
-def truth(flown):
-    """Camera stations by image, and the flight as a function of time."""
-    stations = pd.read_parquet(flown.truth / "stations.parquet")
-    return stations.set_index("image"), fly(2500.0, 1, 3)
-
-
-@pytest.fixture
-def files(mission, truth):
-    return Files(mission, *truth)
 
 
 def gps_time(utc):

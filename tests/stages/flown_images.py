@@ -8,6 +8,7 @@ import pandas as pd
 import pyproj
 from scipy.spatial.transform import Rotation
 
+from tests.helpers import NED_FROM_ENU
 from tests.small_block import ecef
 from tests.stages.block_files import earth_centred
 
@@ -27,13 +28,6 @@ CAMERA_FROM_BODY = np.array(
         [0.0, 1.0, 0.0],
         [-1.0, 0.0, 0.0],
         [0.0, 0.0, 1.0],
-    ]
-)
-NED_FROM_ENU = np.array(
-    [
-        [0.0, 1.0, 0.0],
-        [1.0, 0.0, 0.0],
-        [0.0, 0.0, -1.0],
     ]
 )
 GEODETIC = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)

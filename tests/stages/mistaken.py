@@ -3,7 +3,6 @@
 import json
 from copy import deepcopy
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,6 +11,7 @@ import pyarrow.parquet as pq
 import yaml
 from scipy.spatial.transform import Rotation
 
+from tests.logs import REPOSITORY
 from tests.stages.block_files import PLACE
 from tests.stages.dataflash_records import records, value_of, write_value
 from tests.stages.flown_files import gps_time
@@ -21,7 +21,6 @@ from unbend.batch.runs import read_mission
 from unbend.flight.stations import station_columns
 from unbend.ingest import open_log
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 CONFIGS = REPOSITORY / "configs"
 SAMPLES = REPOSITORY / "sample_logs"
 MISTAKES = REPOSITORY / "tests" / "data" / "mistakes.yaml"

@@ -12,9 +12,9 @@ import yaml
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tests.helpers import refused, with_code
+from tests.helpers import NED_FROM_ENU, refused, with_code
 from tests.stages.eo_texts import write_eo
-from tests.stages.flown_images import CAMERA_FROM_BODY, NED_FROM_ENU
+from tests.stages.flown_images import CAMERA_FROM_BODY
 from tests.stages.oriented_tables import attitudes, textbook_opk
 from unbend.batch.runs import read_mission
 from unbend.flight.stations import station_columns

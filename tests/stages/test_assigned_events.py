@@ -153,17 +153,15 @@ def test_a_rhythm_of_times_contradicts_numbers_by_name():
     images = numbered_images(numbers_of(1, 196))
     files = files_of(images, time_s[60:] - 7200.0)
     events = numbered_events(time_s=time_s)
-    with refused("EVENTS-CONTRADICTED") as refusal:
+    with refused("EVENTS-CONTRADICTED", says="times contradict the numbers of the log"):
         assigned(events, images, files=files)
-    assert "times contradict the numbers of the log" in str(refusal.value)
 
 
 def test_a_stated_pair_that_contradicts_stated_numbers_is_refused_by_name():
     pair = FirstImage(image=name_of(61), event=1)
     images = numbered_images(AFTER_THE_CLIMB)
-    with refused("EVENTS-CONTRADICTED") as refusal:
+    with refused("EVENTS-CONTRADICTED", says="first_image contradict the numbers of the log"):
         assigned(numbered_events(), images, pair=pair)
-    assert "first_image contradict the numbers of the log" in str(refusal.value)
 
 
 def test_a_stated_pair_holds_where_only_missing_images_speak_against_it():

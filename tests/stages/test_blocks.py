@@ -6,7 +6,6 @@ program, or by its published formulas.
 
 from contextlib import closing
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,7 +15,8 @@ import yaml
 from numpy.testing import assert_allclose
 
 from tests.dbat_project import write_project
-from tests.helpers import codes_of, entry_of
+from tests.helpers import codes_of, entry_of, one_line
+from tests.logs import REPOSITORY, SHARED
 from tests.stages.block_files import CABIN, write_colmap
 from tests.stages.corrected_rows import shift
 from tests.stages.small_missions import enu_at, mission_of, rows_of, run
@@ -25,8 +25,6 @@ from unbend.batch.runs import run_mission
 pycolmap = pytest.importorskip("pycolmap")
 
 ORIGIN = (47.0, 8.5, 500.0)
-REPOSITORY = Path(__file__).resolve().parents[2]
-SHARED = REPOSITORY.parent / "shared" / "ba"
 NADIR = [
     20000.0,
     20000.0,
@@ -98,8 +96,8 @@ def colmap(block, by_log, flown):
         numbers = write_colmap(
             block.folder / "sparse",
             CAMERAS,
-            by_log.stations().to_pandas(),
-            by_log.measurements().to_pandas(),
+            by_log.station_rows(),
+            by_log.measured_rows(),
             pq.read_table(flown.truth / "points.parquet").to_pandas(),
             origin=ORIGIN,
             **options,
@@ -152,14 +150,14 @@ def test_a_model_of_colmap(block, by_log, colmap, text):
     assert_same(block, by_log, names)
     roles = {entry["role"] for entry in manifest["inputs"]}
     assert roles == {"observations", "orientation", "camera nadir", "camera oblique"}
-    images = block.results().to_pandas().groupby("image")
+    images = block.result_rows().groupby("image")
     assert images["keypoint"].is_monotonic_increasing.all()
     assert "GROUND-BLOCK" in codes_of(manifest)
 
 
 def test_the_mission_of_the_page(block, by_log, colmap):
     page = REPOSITORY / "docs/pages/guide/oriented_block.md"
-    examples = page.read_text(encoding="utf-8").split("```")
+    examples = page.read_text("utf-8").split("```")
     (text,) = [part for part in examples if "sparse/0" in part and part.startswith("yaml\n")]
     text = text.removeprefix("yaml\n")
     assert text.count("\n") < 20
@@ -174,11 +172,11 @@ def test_the_mission_of_the_page(block, by_log, colmap):
 
     assert outcome.exit_code == 0, outcome.manifest.values["ledger"]
     block.config = yaml.load(text, yaml.BaseLoader)
-    rows = block.results().to_pandas()
+    rows = block.result_rows()
     assert (rows["status"] == "ok").all()
     # The climatology of the day in place of the US 1976 atmosphere.
     rows["point"] = rows["point"].map(names)
-    by_log_rows = by_log.results().to_pandas()
+    by_log_rows = by_log.result_rows()
     expected = matching(rows, "point", by_log_rows)
     ratio = rows["r_c_rad"] / expected["r_c_rad"]
     assert ratio.between(0.93, 1.07).all()
@@ -228,13 +226,13 @@ def test_what_a_block_does_not_say_is_asked_for(block, colmap):
     assert "stations.orientation.frame: is missing" in block.refusal("CONFIG-INVALID", 2)
 
     stations["orientation"] = {"frame": "ecef"}
-    text = " ".join(block.refusal("ORIENTATION-FRAME").split())
+    text = one_line(block.refusal("ORIENTATION-FRAME"))
     assert "m above sea level" in text
     assert "a local frame is not ecef" in text
 
     stations["orientation"] = complete
     del block.config["cameras"]["oblique"]
-    text = " ".join(block.refusal("BLOCK-CAMERA").split())
+    text = one_line(block.refusal("BLOCK-CAMERA"))
     assert "3 images, the first oblique_00001, are of camera '2'" in text
 
 
@@ -303,7 +301,7 @@ def write_keypoints(content, name, pixels):
 def test_a_database_beside_a_model(with_database, by_log):
     """Keypoints of the database, float32; orientations, heights and cameras of the model."""
     block = with_database
-    measured = by_log.measurements().to_pandas()
+    measured = by_log.measured_rows()
     with database(block.database) as content:
         for image, rows in measured.groupby("image"):
             write_keypoints(content, image, rows[PIXEL].to_numpy())
@@ -319,7 +317,7 @@ def test_a_database_beside_a_model(with_database, by_log):
     # Heights are medians of the images here, tens of metres from those of 2500 m below.
     assert_near(rows, expected, 0.05)
     del block.config["stations"]["orientation"]["path"]
-    text = " ".join(block.refusal("neither orientations nor object points").split())
+    text = one_line(block.refusal("neither orientations nor object points"))
     assert "a model, as sparse/0" in text
 
 
@@ -342,7 +340,7 @@ def test_matches_of_a_database_come_out_with_its_keypoints(with_database, by_log
     """By name of the points, which the program never sees: with a keypoint outside the image as the
     first of each, and images numbered the other way round."""
     block = with_database
-    measured = by_log.measurements().to_pandas()
+    measured = by_log.measured_rows()
     names = {}
     numbers = {}
     with database(block.database) as content:
@@ -362,7 +360,7 @@ def test_matches_of_a_database_come_out_with_its_keypoints(with_database, by_log
     exported = unbend(*export, block.folder / "out.db")
 
     assert "EXPORT-NO-TIES" not in exported.text
-    rows = block.results().to_pandas().query("status == 'ok'")
+    rows = block.result_rows().query("status == 'ok'")
     count = 0
     with database(block.folder / "out.db") as content:
         ids = {image.name: image.image_id for image in content.read_all_images()}
@@ -437,4 +435,4 @@ def test_a_block_as_a_mission_without_a_log_that_is_written(tmp_path):
 )
 def test_a_block_as_a_mission_without_a_log(tmp_path, name, program, count):
     """DBAT's script, and PhotoScan's archive."""
-    assert_strasbourg(tmp_path, SHARED / "dbat_sxb" / name, program, count)
+    assert_strasbourg(tmp_path, SHARED / "ba" / "dbat_sxb" / name, program, count)

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from tests.helpers import codes_of, entry_of
+from tests.helpers import codes_of, entry_of, one_line
 from tests.stages.corrected_rows import shift
 from tests.stages.dataflash_records import records, write_value
 from unbend.flight.station_builder import ClockSigmas
@@ -99,7 +99,7 @@ def test_a_stated_date_is_evidence_and_is_compared(mission, unbend, date, week, 
     mission.config["mission"]["date"] = date
     with_week(mission.log, week)
     ended = unbend("check", mission.save())
-    assert words in " ".join(ended.text.split())
+    assert words in one_line(ended.text)
 
 
 @pytest.mark.parametrize(

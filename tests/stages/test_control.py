@@ -20,7 +20,7 @@ from tests.golden.held_block import (
     intersected,
     write_mission,
 )
-from tests.helpers import codes_of, entry_of
+from tests.helpers import codes_of, entry_of, one_line
 from tests.report.manifests import manifest_of
 from unbend.messages import Kind, Ledger
 from unbend.report.summary import control_rows, control_sentence
@@ -170,17 +170,13 @@ def test_control_with_intersected_ground_heights(surveyed):
     assert_corrected(surveyed)
 
 
-def in_one_line(text):
-    return " ".join(text.split())
-
-
 def test_the_terminal_and_a_rehearsal_show_it(surveyed, unbend):
     rehearsed = unbend("check", surveyed.save())
     assert rehearsed.code == 0
-    text = in_one_line(rehearsed.out)
+    text = one_line(rehearsed.out)
     assert "control points, intersected with fixed stations" in text
 
-    text = in_one_line(surveyed.run().out)
+    text = one_line(surveyed.run().out)
     for words in (
         "27 control points: RMS distance 35 cm as measured, 0 mm corrected.",
         "RMS of east/north/up",
@@ -192,12 +188,12 @@ def test_the_terminal_and_a_rehearsal_show_it(surveyed, unbend):
         assert words in text
     manifest = Manifest(surveyed.manifest())
     *_, rms_row = control_rows(manifest, 9)
-    assert in_one_line(" ".join(rms_row)) in text
+    assert one_line(" ".join(rms_row)) in text
 
 
 def test_the_report_has_each_point(surveyed, whole_report):
     manifest = Manifest(surveyed.run_to_manifest())
-    page = (surveyed.output / "report.html").read_text(encoding="utf-8")
+    page = (surveyed.output / "report.html").read_text("utf-8")
     assert "<h2>Control points</h2>" in page
     page = re.sub(r"<td [^>]*>", "<td>", page)
     *points, _, _ = control_rows(manifest, 200)
@@ -224,7 +220,7 @@ def test_rows_of_control_points():
         "rms_after_m": [0.04, 0.05, 0.06],
     }
     manifest = manifest_of({"control": control})
-    rows = [in_one_line(" ".join(row)) for row in control_rows(manifest, 1)]
+    rows = [one_line(" ".join(row)) for row in control_rows(manifest, 1)]
     assert rows == [
         "p1 3 +0.123 -0.200 +0.350 +0.001 -0.002 0.012",
         "(1 more: manifest.json)",

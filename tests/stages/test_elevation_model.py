@@ -5,7 +5,6 @@ import sys
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
 import rasterio
 from numpy.testing import assert_allclose
@@ -14,7 +13,6 @@ from rasterio import Affine
 from tests.helpers import codes_of, entry_of
 from tests.stages.terrain_models import CELLS, terrain_grid
 from tests.tables.geodata.rasters import write_raster
-from unbend.batch.runs import check_mission
 
 STEP_M = 20.0
 WIDE_STEP_M = 80.0  # of a model in which the field lies as well
@@ -159,14 +157,14 @@ def test_a_model_in_feet_is_too_far_from_the_take_off(mission, modelled):
 
 def observe_single_points(mission):
     """Let every point be in one image."""
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table["point"] += table["image"]
-    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
+    mission.observe_rows(table)
 
 
 def checked(mission):
     """The manifest of a rehearsal."""
-    return check_mission(mission.save()).manifest.values
+    return mission.checked().manifest.values
 
 
 def kinds_of(mission):

@@ -1,15 +1,13 @@
 """Images called otherwise than their exposures: proposed, refused, taken where that is stated."""
 
-import pyarrow as pa
-
 from tests.helpers import with_code
 from tests.stages.other_logs import read_folder, refusal_to_read
 
 
 def rename(mission, new_name):
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table["image"] = table["image"].map(new_name)
-    mission.observe(pa.Table.from_pandas(table, preserve_index=False))
+    mission.observe_rows(table)
 
 
 def in_a_folder(name):

@@ -15,10 +15,8 @@ from tests.stages.flown_files import (
     NEAR_M,
     assert_true,
     errors,
-    files,
     gps_time,
     offsets,
-    truth,
 )
 from tests.stages.mistaken import evaluated
 from tests.stages.other_logs import message_of, read_folder
@@ -27,8 +25,6 @@ from unbend.simulate.flight import UNDULATION_M
 from unbend.stages.flight_log import with_trajectory
 
 approx = pytest.approx
-
-__all__ = ["files", "truth"]
 
 
 OFFSET_MM = (1500, -700, 300)
@@ -165,9 +161,8 @@ def test_a_stretch_of_a_trajectory_that_is_off_makes_its_stations_suspect(by_tra
 def test_a_trajectory_that_cannot_be_of_the_flight_is_refused(
     by_trajectory, files, mistake, code, words
 ):
-    with refused(code) as refusal:
+    with refused(code, what=words):
         by_trajectory(files.pos(**mistake))
-    assert words in refusal.value.what
 
 
 @pytest.mark.parametrize(
@@ -239,9 +234,8 @@ def test_the_yaw_of_an_sbet_against_the_log(by_trajectory, files):
     ],
 )
 def test_mistakes_about_columns_are_recognised(by_trajectory, files, mistake, code, words):
-    with refused(code) as refusal:
+    with refused(code, what=words):
         by_trajectory(files.csv(evaluated(files.table(), mistake)))
-    assert words in refusal.value.what
 
 
 @pytest.mark.parametrize("order", ["XYZ", "YXZ"])
@@ -258,9 +252,8 @@ def test_grads_that_do_not_pass_the_circle_are_recognised_by_the_log(by_trajecto
     """As a file of a flight to the south has them: all below 360."""
     table = files.table()
     table[["roll", "pitch", "yaw"]] /= 0.9
-    with refused("TRAJECTORY-ANGLES") as refusal:
+    with refused("TRAJECTORY-ANGLES", says="grads"):
         by_trajectory(files.csv(table[table["yaw"] < 360.0]))
-    assert "grads" in str(refusal.value)
 
     section = files.csv(table)
     section["angle_unit"] = "grad"
@@ -268,9 +261,8 @@ def test_grads_that_do_not_pass_the_circle_are_recognised_by_the_log(by_trajecto
 
 
 def test_an_order_with_one_axis_twice_is_refused(by_trajectory, files):
-    with refused("CONFIG-INVALID") as refusal:
+    with refused("CONFIG-INVALID", says="angle_order"):
         by_trajectory(files.pos() | {"angle_order": "ZYZ"})
-    assert "angle_order" in str(refusal.value)
 
 
 def test_attitudes_of_a_file_of_positions_are_refused(by_trajectory, files):
@@ -408,9 +400,8 @@ def rows_without_numbers(files, sources):
 @pytest.mark.parametrize("lose_a_row", [counted_images, rows_counted_anew, rows_without_numbers])
 def test_rows_are_no_numbers_of_images_where_nothing_shows_the_loss(mission, files, lose_a_row):
     lose_a_row(files, with_events(mission, files))
-    with refused("EVENTS-AMBIGUOUS") as refusal:
+    with refused("EVENTS-AMBIGUOUS", what="some events were lost"):
         read_folder(mission)
-    assert "some events were lost" in refusal.value.what
 
 
 def test_rows_against_the_order_of_time_are_refused_or_told(mission, files):

@@ -19,7 +19,7 @@ from unbend.batch import opening
 from unbend.batch.runs import check_mission
 from unbend.errors import UnbendError
 
-LIST = yaml.safe_load(MISTAKES.read_text(encoding="utf-8"))
+LIST = yaml.safe_load(MISTAKES.read_text("utf-8"))
 ALL = LIST["mistakes"]
 
 COUNT = int(os.environ.get("UNBEND_MISTAKES", "6"))

@@ -2,7 +2,6 @@
 
 import copy
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,11 +14,11 @@ from numpy.testing import assert_allclose
 from pyproj.transformer import TransformerGroup
 from scipy.spatial.transform import Rotation
 
-from tests.helpers import entry_of, refused, with_code
+from tests.helpers import NED_FROM_ENU, entry_of, one_line, refused, with_code
+from tests.logs import REPOSITORY
 from tests.small_block import ecef, enu_axes
 from tests.stages.block_files import earth_centred, matrices
 from tests.stages.corrected_rows import shift
-from tests.stages.flown_images import NED_FROM_ENU
 from tests.stages.mistaken import evaluated
 from tests.stages.oriented_tables import (
     OPK,
@@ -61,7 +60,7 @@ def block(mission_factory, by_log, tmp_path):
     mission.config["stations"] = {"orientation": mission.orientation}
     mission.config["mission"]["undulation_m"] = UNDULATION_M
     mission.config["output"]["path"] = "block"
-    mission.table = by_log.stations().to_pandas()
+    mission.table = by_log.station_rows()
     mission.mounts = copy.deepcopy(by_log.config["mount"])
     for mount in mission.mounts.values():
         mount["lever_arm_m"] = [0.0] * 3  # the positions are those of the cameras
@@ -108,7 +107,7 @@ def test_without_a_log_the_corrections_are_those_of_the_log(block, by_log, table
     assert manifest["channels"] == {}
     roles = {item["role"] for item in manifest["inputs"]}
     assert roles == {"orientation", "observations"}
-    stations = block.stations().to_pandas()
+    stations = block.station_rows()
     times = block.table["time_utc"].dt.floor("us")
     assert stations["time_utc"].tolist() == times.tolist()
     assert_allclose(stations["h_ellipsoid_m"], block.table["h_ellipsoid_m"], atol=0.02)
@@ -283,9 +282,8 @@ def test_the_stations_are_those_of_the_log_in_each_convention(block, convention)
 def test_coordinate_systems_that_cannot_be_meant_are_refused(block, crs, code, remedy):
     table = in_lambert(block)
     block.orientation["crs"] = crs
-    with refused(code) as refusal:
+    with refused(code, says=remedy):
         prepared(block, table)
-    assert remedy in str(refusal.value)
 
 
 def test_latitudes_of_a_past_survey_are_brought_to_the_present(block):
@@ -391,7 +389,7 @@ def test_stations_of_a_block_beside_a_log(block, by_log, without_times):
     manifest = block.run_to_manifest()
 
     assert_allclose(shift(block.result_rows()), shift(by_log.result_rows()), atol=2e-6)
-    stations = block.stations().to_pandas()
+    stations = block.station_rows()
     assert stations["time_utc"].tolist() == block.table["time_utc"].tolist()
     assert_allclose(stations["pressure_pa"], block.table["pressure_pa"])
     assert manifest["log"]["format"] == "dataflash"
@@ -435,7 +433,7 @@ def test_images_without_orientation_and_orientation_without_images(block, table)
 
     assert entry_of(manifest, "STATIONS-UNUSED")["count"] == 1
     assert entry_of(manifest, "IMAGES-UNMATCHED")["count"] == 1
-    stations = block.stations().to_pandas().set_index("image")
+    stations = block.station_rows().set_index("image")
     assert stations["status"][image] == "unmatched"
     assert "no_station" in block.results()["status"].to_pylist()
 
@@ -446,19 +444,17 @@ def test_heights_in_the_ground_are_refused_and_others_told(block, table):
     assert "m above the ground in the median" in note.what
 
     table["height"] -= 2900.0
-    with refused("ORIENTATION-HEIGHT") as refusal:
+    with refused("ORIENTATION-HEIGHT", what="below the ground"):
         prepared(block, table)
-    assert "below the ground" in refusal.value.what
 
     table["height"] += 22_900.0
     warning = message_of(prepared(block, table), "ORIENTATION-HEIGHT")
     assert warning.kind == "warning"
 
 
-def test_our_own_table_of_several_cameras_is_read_without_columns(block, by_log, unbend):
+def test_our_own_table_of_several_cameras_is_read_without_columns(block, by_log, obeyed):
     path = block.folder / "block.csv"
-    ended = unbend("export", by_log.output, "--format", "opk", "--out", path)
-    assert ended.code == 0, ended.text
+    obeyed("export", by_log.output, "--format", "opk", "--out", path)
     del block.orientation["columns"]
     block.orientation["heights"] = "ellipsoid"
 
@@ -469,27 +465,22 @@ def test_our_own_table_of_several_cameras_is_read_without_columns(block, by_log,
     assert stations.utc_ns.tolist() == times_ns.tolist()
     exported = pd.read_csv(path)
     of_no_camera = exported.drop(columns=["camera", "status"])
-    with refused("EVENTS-CAMERA") as refusal:
+    with refused("EVENTS-CAMERA", says="the camera of the rows of the table is not stated"):
         prepared(block, of_no_camera)
-    assert "the camera of the rows of the table is not stated" in str(refusal.value)
 
 
 def test_a_table_that_is_not_there_is_refused(block):
-    with refused("INPUT-MISSING") as refusal:
+    with refused("INPUT-MISSING", says="stations.orientation.path"):
         read_folder(block)
-    assert "stations.orientation.path" in str(refusal.value)
 
 
-def test_check_copes_without_a_log(block, table, unbend):
+def test_check_copes_without_a_log(block, table, obeyed):
     write(block, table)
 
-    ended = unbend("check", block.save())
+    text = one_line(obeyed("check", block.save()))
 
-    assert ended.code == 0, ended.text
-    text = " ".join(ended.out.split())
     assert "none: the stations and the air come from other sources" in text
-    ended = unbend("stations", block.save())
-    assert ended.code == 0, ended.text
+    obeyed("stations", block.save())
 
 
 def test_check_shows_the_stated_date_and_the_keys_of_missing_sigmas(block, without_times, unbend):
@@ -498,7 +489,7 @@ def test_check_shows_the_stated_date_and_the_keys_of_missing_sigmas(block, witho
 
     ended = unbend("check", "-v", block.save())
 
-    text = " ".join(ended.out.split())
+    text = one_line(ended.out)
     assert "time 2026-07-15T09:40:00Z, as the mission file states" in text
     assert "(stations.orientation.sigma_tilt_deg)" in text
     assert "(stations.orientation.sigma_height_m)" in text
@@ -508,7 +499,7 @@ def test_angles_that_no_tie_point_checks_are_told(block, table):
     ledger = prepared(block, table).ledger
     assert not with_code(ledger, "ORIENTATION-UNCHECKED")
 
-    measured = block.measurements().to_pandas()
+    measured = block.measured_rows()
     measured["point"] = measured.index.astype(str)
     measured.to_parquet(block.folder / "observations.parquet", index=False)
     unchecked = message_of(prepared(block, table), "ORIENTATION-UNCHECKED")
@@ -519,7 +510,7 @@ def test_angles_that_no_tie_point_checks_are_told(block, table):
 
 # --- the example of the guide -----------------------------------------------------------------
 
-PAGE = Path(__file__).resolve().parents[2] / "docs/pages/guide/oriented_block.md"
+PAGE = REPOSITORY / "docs/pages/guide/oriented_block.md"
 
 
 def truth_of(flown, name):
@@ -542,7 +533,7 @@ def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factor
 
     The cameras of the simulation look through a window; its cabin is added to the example.
     """
-    page = PAGE.read_text(encoding="utf-8")
+    page = PAGE.read_text("utf-8")
     examples = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
     example = next(text for text in examples if "orientation:" in text)
     assert len(example.splitlines()) < 20
@@ -553,7 +544,7 @@ def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factor
     opk["height"] = stations["h_ellipsoid_m"].round(4)
     write(mission, opk, "opk.csv")
     write(mission, true_sounding(flown, first), "sounding.csv")
-    measured = mission.measurements().to_pandas()
+    measured = mission.measured_rows()
     nadir = measured["image"].str.startswith("nadir").to_numpy()
     observations = mission.folder / "observations.parquet"
     measured[nadir].to_parquet(observations, index=False)
@@ -570,7 +561,7 @@ def test_the_example_of_the_page_finds_the_simulated_truth(flown, mission_factor
 
     truth = truth_of(flown, "observations")[nadir]
     true = truth[["x_true_px", "y_true_px"]].to_numpy()
-    corrected = mission.results().to_pandas()[CORRECTED_PX].to_numpy()
+    corrected = mission.result_rows()[CORRECTED_PX].to_numpy()
     size = np.linalg.norm(true - truth[MEASURED_PX], axis=1)
     error = np.linalg.norm(corrected - true, axis=1)
     assert size.max() > 0.05
@@ -598,7 +589,7 @@ def ledger_of(crossing_lines):
         config["stations"] = {"orientation": ORIENTATION | orientation}
         table.to_csv(folder / "block.csv", index=False)
         path = folder / "block.yaml"
-        path.write_text(yaml.safe_dump(config), encoding="utf-8")
+        path.write_text(yaml.safe_dump(config), "utf-8")
         mission = read_mission(path)
         message_of(mission, "ORIENTATION-TIES")
         return {message.code: message for message in mission.ledger}
@@ -645,16 +636,14 @@ def test_tie_points_tell_another_reading_of_nadir_images(true_table, ties_of, re
     """Within a degree of the vertical: nothing in the numbers themselves shows it."""
     nadir = true_table[true_table["camera"] == "nadir"]
     changed = evaluated(nadir, READINGS[reading])
-    with refused("ORIENTATION-READING") as refusal:
+    with refused("ORIENTATION-READING", what=reading):
         ties_of(changed)
-    assert reading in refusal.value.what
 
 
 def test_tie_points_tell_the_order_of_the_rotations(true_table, ties_of):
     """Angles of oblique images in the other order of rotations, by their matrices."""
-    with refused("ORIENTATION-READING") as refusal:
+    with refused("ORIENTATION-READING", says="if the angles are omega_phi_kappa"):
         ties_of(true_table, angles="phi_omega_kappa")
-    assert "if the angles are omega_phi_kappa" in str(refusal.value)
 
 
 def test_tie_points_tell_the_inverse_of_a_quaternion(true_table, crossing_lines, ties_of):
@@ -663,9 +652,8 @@ def test_tie_points_tell_the_inverse_of_a_quaternion(true_table, crossing_lines,
     assert ties.kind == "note"
 
     inverse = true_table.join(quaternion * INVERSE)
-    with refused("ORIENTATION-READING") as refusal:
+    with refused("ORIENTATION-READING", says="turn the other way"):
         ties_of(inverse, angles="quaternion")
-    assert "turn the other way" in str(refusal.value)
     ties = ties_of(inverse, angles="quaternion_to_frame")
     assert ties.kind == "note"
 

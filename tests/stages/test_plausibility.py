@@ -15,7 +15,6 @@ from tests.stages.other_logs import read_folder, with_channels
 from unbend.atmosphere.estimate.candidates import SourceUse
 from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.batch.rehearsal import camera_text
-from unbend.batch.runs import check_mission
 from unbend.errors import Code
 from unbend.library import corrected_table
 from unbend.messages import Kind, Ledger, message
@@ -172,8 +171,7 @@ FOUND = yaml.safe_load(MISTAKES)
 
 def observe(mission, recipe):
     """The observations of a mission, changed by assignments."""
-    table = evaluated(mission.measurements().to_pandas(), recipe)
-    table.to_parquet(mission.folder / "observations.parquet", index=False)
+    mission.observe_rows(evaluated(mission.measured_rows(), recipe))
 
 
 def findings_of(manifest, code):
@@ -187,7 +185,7 @@ def test_a_mistake_is_found_with_its_key(mission, name):
     observe(mission, mistake.get("observations", ""))
     mission.config = changed(mission.config, mistake.get("mission", {}))
 
-    manifest = check_mission(mission.save()).manifest.values
+    manifest = mission.checked().manifest.values
 
     assert manifest["exit_code"] == 3
     findings = findings_of(manifest, mistake["code"])
@@ -199,13 +197,13 @@ def test_a_mistake_is_found_with_its_key(mission, name):
 @pytest.mark.parametrize(("factor", "findings"), [(1.0, 0), (3.28084, 1)])
 def test_slant_ranges_in_feet(mission, factor, findings):
     """Straight lines from 2500 m above the field to the points, 3.28 times as long."""
-    facts = check_mission(mission.save()).corrected.facts
+    facts = mission.checked().corrected.facts
     length = (facts.camera_height_m - facts.rows.h_g_m) / np.cos(facts.nadir_angle_rad)
     table = mission.measurements()
     mission.observe(table.append_column("slant", [length * factor]))
     mission.config["observations"]["columns"] = {"distance_m": "slant"}
 
-    manifest = check_mission(mission.save()).manifest.values
+    manifest = mission.checked().manifest.values
 
     texts = [finding["what"] for finding in findings_of(manifest, "PLAUSIBLE-DISTANCE")]
     assert len(texts) == findings
@@ -228,7 +226,7 @@ def test_ground_beside_the_terrain_of_the_autopilot(
 
     Tie points find the same where heights are spoiled; it is held back where the cause is named.
     """
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     ground_m = table.groupby("image")["h_g_m"].median()
     observe(mission, f"h_g_m = h_g_m * {factor}")
     read = read_folder(mission)
@@ -262,7 +260,7 @@ def test_ground_beside_the_terrain_of_the_autopilot(
 
 def test_air_of_another_pressure(mission):
     """R in air of half the pressure is half of the standard's: no ascent has that."""
-    facts = check_mission(mission.save()).corrected.facts
+    facts = mission.checked().corrected.facts
     profile = facts.adjustment.profile
     thin = profile.at_level(0.0, 0.5 * profile.pressure(0.0))
     adjustment = replace(facts.adjustment, profile=thin)
@@ -430,7 +428,7 @@ def test_rays_beyond_the_horizon_are_told_by_how_much(mission):
     """A camera that looks 120 deg from the nadir sees nothing but sky."""
     mission.config["mount"]["nadir"]["pitch_deg"] = -120.0
 
-    corrected = check_mission(mission.save()).corrected
+    corrected = mission.checked().corrected
 
     flagged = with_code(corrected.prepared.ledger, "OBS-FLAGGED")
     (above,) = [message for message in flagged if "misses_ground" in message.what]
@@ -662,11 +660,11 @@ def test_many_flagged_rows_of_a_known_cause_are_no_other_finding():
 
 def test_x_and_y_exchanged_are_one_mistake(mission):
     """Rows outside the image follow from it."""
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table["x_px"], table["y_px"] = table["y_px"].copy(), table["x_px"].copy()
-    table.to_parquet(mission.folder / "observations.parquet", index=False)
+    mission.observe_rows(table)
 
-    ledger = check_mission(mission.save()).corrected.prepared.ledger
+    ledger = mission.checked().corrected.prepared.ledger
 
     of_kind = {entry.code for entry in ledger if entry.kind in (Kind.FINDING, Kind.LOSS)}
     assert of_kind == {"PLAUSIBLE-EXTENT"}
@@ -692,7 +690,7 @@ def test_sensors_of_the_cabin_that_are_named_as_outside(mission, quantities, los
     for quantity in quantities:
         exchange(mission, quantity)
 
-    ledger = check_mission(mission.save()).corrected.prepared.ledger
+    ledger = mission.checked().corrected.prepared.ledger
 
     assert with_code(ledger, loss)
     said = [entry.what for entry in with_code(ledger, "PLAUSIBLE-SENSORS")]
@@ -720,12 +718,12 @@ def test_thermometers_that_are_both_in_the_cabin_are_not_exchanged(mission):
 
 def test_an_image_that_the_log_does_not_know_is_one_loss(mission):
     """Its rows are a note; rows without ground stay a loss of their own."""
-    table = mission.measurements().to_pandas()
+    table = mission.measured_rows()
     table.loc[0, "image"] = "nadir_09999"
     table.loc[5, "h_g_m"] = np.nan
-    table.to_parquet(mission.folder / "observations.parquet", index=False)
+    mission.observe_rows(table)
 
-    checked = check_mission(mission.save())
+    checked = mission.checked()
 
     ledger = checked.corrected.prepared.ledger
     (unmatched,) = with_code(ledger, "IMAGES-UNMATCHED")

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.helpers import with_code
+from tests.helpers import one_line, with_code
 from tests.stages.dataflash_records import records, times_us, value_of, write_value
 from tests.stages.other_logs import read_folder
 
@@ -55,7 +55,7 @@ def suspicions(manifest):
 def test_exposures_in_a_glitch_get_no_correction_and_the_run_ends_with_three(glitch):
     ended = glitch.run()
     assert ended.code == 3, ended.text
-    printed = " ".join(ended.out.split())
+    printed = one_line(ended.out)
     assert "2 suspect stations (without corrected coordinates) before use." in printed
     assert (
         "Check the 2 suspect stations (unbend stations MISSION --plot FILE): 1 exposure " in printed

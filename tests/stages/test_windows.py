@@ -8,7 +8,6 @@ import pytest
 from tests.helpers import entry_of
 from tests.stages.corrected_rows import rows_of_camera
 from unbend.batch.results import read_manifest
-from unbend.batch.runs import check_mission
 
 LENS = {
     "reference": {"pressure_hpa": 1013.25, "temperature_c": 20.0},
@@ -52,7 +51,7 @@ def test_a_dome_a_schedule_and_a_lens(mission):
 
 def miss_px(mission):
     """How far the rays of tie points miss each other, as the ledger states it [px]."""
-    manifest = check_mission(mission.save()).manifest.values
+    manifest = mission.checked().manifest.values
     text = entry_of(manifest, "TIES-RESIDUALS")["what"]
     return float(re.search(r"by ([0-9.]+) px", text)[1])
 

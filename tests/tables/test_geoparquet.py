@@ -1,7 +1,5 @@
 """stations.parquet as GeoParquet: geopandas and a validator read it. Truth: their own decoding."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -10,6 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.io import netcdf_file
 
 from tests.helpers import ns, with_code
+from tests.logs import SHARED
 from tests.model_files import PRESSURE_LEVELS, dataset, grib, netcdf, on_model_levels
 from tests.tables.checks import assert_within, refused_with
 from tests.tables.grib_messages import write_grib
@@ -20,7 +21,7 @@ from unbend.simulate.true_air import temperature_k, true_air, vapour_pressure_pa
 from unbend.tables.model_fields import FlightArea, read_model_field
 from unbend.tables.weather_files import open_datasets
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
+MODELS = SHARED / "nwp"
 PLACE = (np.radians(47.3), np.radians(8.6))
 NORTH = (48.0, 47.0)
 EAST = (8.0, 8.5, 9.0)
@@ -643,7 +644,7 @@ def test_a_ground_that_nobody_knows_is_the_models(fields, ground_m):
 
 @pytest.mark.shared("nwp")
 def test_era5_at_a_node_to_the_last_digit():
-    path = SHARED / "era5_pressure_levels_20180327T13.nc"
+    path = MODELS / "era5_pressure_levels_20180327T13.nc"
     raw = {}
     with netcdf_file(path, mmap=False) as file:
         for name, packed in file.variables.items():
@@ -706,7 +707,7 @@ def test_pressure_between_real_levels_is_that_of_an_ode_from_the_nearer_level(
     place = np.radians(place)
     time_ns = ns(when)
 
-    field = read(SHARED / name, place, time_ns)
+    field = read(MODELS / name, place, time_ns)
     levels, _ = column(field, place, time_ns, ground_h_m=ground)
 
     height = normal_gravity(place[0]).geopotential_height(levels.h_m)
@@ -724,4 +725,4 @@ def test_pressure_between_real_levels_is_that_of_an_ode_from_the_nearer_level(
 @pytest.mark.shared("nwp")
 def test_a_real_file_with_too_few_levels_says_which():
     with refused_with("MODEL-LEVELS", r"2 levels in all \(500, 850 hPa\)"):
-        read(SHARED / "era5_two_levels_members.grib", time_ns=ns("2017-01-01T12"))
+        read(MODELS / "era5_two_levels_members.grib", time_ns=ns("2017-01-01T12"))

@@ -1,7 +1,5 @@
 """Half a pixel: applied when a table is read, taken back when one is written."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyarrow as pa
 import pytest

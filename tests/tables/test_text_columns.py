@@ -12,7 +12,7 @@ TABLE = Path("t.csv")
 
 
 def latitudes(text):
-    TABLE.write_text(text, encoding="utf-8")
+    TABLE.write_text(text, "utf-8")
     table = whole_table(TABLE, ORIENTATION_NUMBER, ("image",))
     return degrees_of(table, "lat", TABLE, ORIENTATION_NUMBER, quantity="latitude")
 

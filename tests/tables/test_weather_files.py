@@ -4,7 +4,6 @@ import json
 import struct
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pyproj  # noqa: F401  (before ecCodes)
@@ -12,13 +11,11 @@ import pytest
 import xarray
 
 from tests.conftest import run_command
-from tests.helpers import refused
+from tests.helpers import one_line, refused
+from tests.logs import REPOSITORY, SHARED
 from tests.tables.checks import refused_with
 from tests.tables.grib_messages import write_grib
 from unbend.tables.weather_files import contents_of, is_model_file
-
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "nwp"
-
 
 TIMES = np.array(["2026-05-14T10", "2026-05-14T11"], "datetime64[ns]")
 
@@ -129,9 +126,8 @@ def test_what_cannot_be_read_is_refused(tmp_path, data, code):
 
 def test_without_the_extra_the_command_that_installs_it_is_named(era5, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with refused("MODEL-PACKAGE") as refusal:
+    with refused("MODEL-PACKAGE", remedy="unbend[nwp]"):
         contents_of(era5)
-    assert "unbend[nwp]" in refusal.value.remedy
 
 
 BOTH = """
@@ -169,20 +165,18 @@ def test_pyproj_and_eccodes_live_together(gfs, order):
     ],
 )
 def test_real_files(name, kind, levels, members):
-    contents = contents_of(SHARED / name)
+    contents = contents_of(SHARED / "nwp" / name)
     assert contents["level_kind"] == kind
     assert len(contents["levels"]) == levels
     assert len(contents["members"]) == members
 
 
-SOUNDINGS = Path(__file__).resolve().parents[1] / "data" / "sounding_files"
+SOUNDINGS = REPOSITORY / "tests" / "data" / "sounding_files"
 
 
-def test_inspect_shows_how_a_sounding_is_read():
+def test_inspect_shows_how_a_sounding_is_read(obeyed):
     """Oklahoma, 22 May 2023: 977 hPa at 345 m, by the file's first line."""
-    ended = run_command("inspect", SOUNDINGS / "wyoming_csv_OUN_20230522_12Z.csv")
-    assert ended.code == 0, ended.text
-    text = " ".join(ended.out.split())
+    text = one_line(obeyed("inspect", SOUNDINGS / "wyoming_csv_OUN_20230522_12Z.csv"))
     for words in (
         "read as University of Wyoming CSV",
         "2023-05-22 11:04 UTC",
@@ -193,8 +187,7 @@ def test_inspect_shows_how_a_sounding_is_read():
         "atmosphere: {soundings: [{path: wyoming_csv_OUN",
     ):
         assert words in text, words
-    ended = run_command("inspect", SOUNDINGS / "igra2_USM00070026_Barrow.txt", "--json")
-    reading = json.loads(ended.out)
+    reading = json.loads(obeyed("inspect", SOUNDINGS / "igra2_USM00070026_Barrow.txt", "--json"))
     expected = {
         "kind": "sounding",
         "format": "IGRA v2",
@@ -204,26 +197,25 @@ def test_inspect_shows_how_a_sounding_is_read():
         "levels": 24,
     }
     assert reading | expected == reading
-    arm = run_command("inspect", SOUNDINGS / "sgpsondewnpnC1.b1.20190101.053200.cdf")
-    assert "read as ARM radiosonde netCDF" in arm.out
+    arm = obeyed("inspect", SOUNDINGS / "sgpsondewnpnC1.b1.20190101.053200.cdf")
+    assert "read as ARM radiosonde netCDF" in arm
 
 
-def test_inspect_shows_what_a_metar_states(tmp_path):
+def test_inspect_shows_what_a_metar_states(tmp_path, obeyed):
     path = tmp_path / "metar.txt"
     path.write_text(
         "METAR LSZH 141020Z 24008KT CAVOK 18/07 Q1016\n\n"
         "LSZH 141050Z 24008KT 9999 FEW030 M02/M06 Q1015 NOSIG\n",
         encoding="utf-8",
     )
-    ended = run_command("inspect", path)
-    assert ended.code == 0, ended.text
-    lines = [line.split() for line in ended.out.splitlines()]
+    printed = obeyed("inspect", path)
+    lines = [line.split() for line in printed.splitlines()]
     assert lines[0] == ["metar.txt:", "2", "METARs"]
     assert ["LSZH", "day", "14,", "10:20", "UTC", "18.0", "7.0", "1016.5"] in lines
     assert ["LSZH", "day", "14,", "10:50", "UTC", "-2.0", "-6.0", "1015.5"] in lines
-    text = " ".join(ended.out.split())
+    text = one_line(printed)
     assert 'metar: "METAR LSZH 141020Z 24008KT CAVOK 18/07 Q1016"' in text
-    reports = json.loads(run_command("inspect", path, "--json").out)["reports"]
+    reports = json.loads(obeyed("inspect", path, "--json"))["reports"]
     assert [report["temperature_c"] for report in reports] == [18.0, -2.0]
-    path.write_text("image,point,x_px\n", encoding="utf-8")
+    path.write_text("image,point,x_px\n", "utf-8")
     assert run_command("inspect", path).code == 6  # no log either

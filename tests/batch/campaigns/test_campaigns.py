@@ -1,7 +1,5 @@
 """Campaigns: what runs and what does not, and how that is known; the page and the table."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -98,16 +96,16 @@ def make_season(mission, folder) -> Season:
         flight.mkdir(parents=True)
         shutil.copy(mission.log, flight / "flight.bin")
         shutil.copy(mission.folder / "observations.parquet", flight)
-        (flight / "balloon.csv").write_text(sounding_text(), encoding="utf-8")
+        (flight / "balloon.csv").write_text(sounding_text(), "utf-8")
         sections["mission"]["name"] = f"flight-{number}"
-        (flight / "mission.yaml").write_text(yaml.safe_dump(sections), encoding="utf-8")
+        (flight / "mission.yaml").write_text(yaml.safe_dump(sections), "utf-8")
     content = {
         "campaign": {"name": "season", "output": "results"},
         "defaults": shared,
         "missions": ["flights/*/mission.yaml"],
     }
     text = yaml.safe_dump(content, sort_keys=False)
-    season.file.write_text(text, encoding="utf-8")
+    season.file.write_text(text, "utf-8")
     return season
 
 
@@ -153,7 +151,7 @@ def test_one_changed_sounding_runs_one_mission(done, obeyed):
     unchanged_ns = unchanged_file.stat().st_mtime_ns
     changed_ns = changed_file.stat().st_mtime_ns
     sounding = done.flight(1) / "balloon.csv"
-    sounding.write_text(sounding_text(0.5), encoding="utf-8")
+    sounding.write_text(sounding_text(0.5), "utf-8")
     first, second = json.loads(obeyed("status", done.file, "--json"))
     assert not first["would_run"]
     assert second["would_run"]
@@ -298,15 +296,8 @@ def test_two_missions_of_one_are_refused_before_anything(
 
 
 def test_one_mission_of_a_campaign_and_what_is_refused(season, unbend, obeyed):
-    assert (
-        "CAMPAIGN-MISSION"
-        in unbend(
-            "run",
-            season.file,
-            "--mission",
-            "flight-9",
-        ).err
-    )
+    no_mission = unbend("run", season.file, "--mission", "flight-9")
+    assert "CAMPAIGN-MISSION" in no_mission.err
     (season.flight(1) / "observations.parquet").unlink()
     obeyed("run", season.file, "--mission", "flight-0")
     assert season.states() == [("done", None), ("not run", None)]
@@ -314,7 +305,7 @@ def test_one_mission_of_a_campaign_and_what_is_refused(season, unbend, obeyed):
     obeyed("run", season.file, exit_code=6)
     assert season.states() == [("done", None), ("refused", "INPUT-MISSING")]
     assert season.rows()[1]["exit_code"] == 6
-    assert "the observations file is not there" in season.page.read_text(encoding="utf-8")
+    assert "the observations file is not there" in season.page.read_text("utf-8")
 
 
 class Links(HTMLParser):
@@ -333,7 +324,7 @@ class Links(HTMLParser):
 
 
 def test_the_page_leads_to_each_report_and_nowhere_else(done):
-    text = done.page.read_text(encoding="utf-8")
+    text = done.page.read_text("utf-8")
     seen = Links()
     seen.feed(text)
     assert seen.links == ["flight-0/report.html", "flight-1/report.html"]
@@ -418,11 +409,6 @@ def test_code_and_summary_of_what_is_unchanged_are_those_of_the_run(done, obeyed
     assert "refraction of the air" in unread  # one mission alone has its summary
     assert [mission["exit_code"] for mission in both] == [3, 0]
     assert both[0]["manifest"] == changed
-    obeyed(
-        "run",
-        done.file,
-        exit_code=3,
-    )
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Stores that speak S3 and Azure's protocol, on this machine; each starts when a test needs it."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

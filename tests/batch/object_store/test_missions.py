@@ -1,7 +1,5 @@
 """Missions whose inputs and results are in object storage, through the command line."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
@@ -12,15 +10,15 @@ from unittest.mock import Mock
 import pyarrow.parquet as pq
 import pytest
 
+from tests.batch.conftest import plan_of
 from tests.conftest import Ended
 from tests.helpers import refused
 from unbend.batch import results as results_module
 from unbend.batch import runs
 from unbend.batch.object_store import Place
-from unbend.batch.plan import Plan, fetch_inputs, make_plan
+from unbend.batch.plan import fetch_inputs
 from unbend.batch.remote import Publication, find_damage, read_manifest, would_replace
 from unbend.batch.runs import run_mission
-from unbend.config import load_mission
 
 pytestmark = pytest.mark.usefixtures("plain_report")
 
@@ -209,10 +207,6 @@ def test_an_input_that_changes_meanwhile_is_refused(stored, s3_place, monkeypatc
     monkeypatch.setattr(runs, "prepare", change)
     assert str(log) in stored.refusal("INPUT-CHANGED")
     assert set((s3_place / "results").objects()) == set()
-
-
-def plan_of(mission) -> Plan:
-    return make_plan(load_mission(mission.save()), mission.folder)
 
 
 def test_a_damaged_copy_is_made_again(stored, s3_place):

@@ -1,7 +1,5 @@
 """URLs, and what a store refuses: by name, before any work, without a secret."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

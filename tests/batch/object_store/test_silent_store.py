@@ -1,7 +1,5 @@
 """Object storage that accepts a connection and then says nothing, or half of an answer."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -3,23 +3,14 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from pymavlink.DFReader import DFReader_binary, DFReader_text
+from pymavlink.DFReader import DFReader_text
 
 from tests.helpers import refused, with_code
 from tests.ingest import written_logs
-from tests.ingest.dataflash.library import library_messages, library_tables
+from tests.ingest.dataflash.library import as_text, library_tables
 from tests.ingest.written_logs import entry_in
 from tests.logs import LOGS, at_hand
 from unbend.ingest import open_log
-
-
-def as_text(binary, text):
-    """What a ground station writes: one message a line, scaled fields in their unit."""
-    lines = []
-    for message in library_messages(DFReader_binary(str(binary))):
-        cells = [str(getattr(message, field)) for field in message.get_fieldnames()]
-        lines.append(", ".join([message.get_type(), *cells]))
-    text.write_text("\n".join(lines) + "\n", "utf-8")
 
 
 @pytest.fixture(scope="module", params=at_hand("gps0_lost.bin", "beastayyg_sample.bin"))
@@ -30,7 +21,7 @@ def binary(request):
 @pytest.fixture(scope="module")
 def text(binary, tmp_path_factory):
     path = tmp_path_factory.mktemp("text") / "flight.log"
-    as_text(binary, path)
+    path.write_text(as_text(binary), "utf-8")
     return path
 
 

@@ -1,7 +1,6 @@
 """PX4 logs: files with known content, written by hand as the ULog specification says."""
 
 import struct
-import sys
 
 import numpy as np
 import pytest
@@ -87,6 +86,15 @@ def test_known_flight(opened):
     assert not log.ledger.has_losses
 
 
+def writer_of_114() -> ULogWriter:
+    """A log of PX4 1.14 with a receiver, an attitude and air defined."""
+    writer = ULogWriter()
+    writer.define("sensor_gps", NEW_GPS)
+    writer.define("vehicle_attitude", QUATERNION)
+    writer.define("vehicle_air_data", "float baro_pressure_pa;float ambient_temperature;")
+    return writer
+
+
 def newer(
     *,
     utc=lambda k: NOW_US + 200_000 * k,
@@ -95,10 +103,7 @@ def newer(
     capture=lambda _: 0,
 ):
     """As PX4 1.14 and later log it, for 12 s; by row: UTC and fix of the receiver, its error."""
-    writer = ULogWriter()
-    writer.define("sensor_gps", NEW_GPS)
-    writer.define("vehicle_attitude", QUATERNION)
-    writer.define("vehicle_air_data", "float baro_pressure_pa;float ambient_temperature;")
+    writer = writer_of_114()
     writer.define("camera_capture", f"{SHOT}int8_t result;")
     writer.define("acme", "uint8_t a;")
     writer.subscribe("sensor_gps", "vehicle_attitude", "vehicle_air_data", "camera_capture", "acme")
@@ -147,17 +152,6 @@ def test_messages_mean_what_they_mean_over_ros(opened):
     assert log.message_types()["acme"] == 60  # not of ours: counted, and a table
     assert log.message("acme")["a"].tolist() == [1] * 60
     assert not log.ledger.has_losses
-
-
-def test_tables_are_those_of_pyulog(opened):
-    pyulog = pytest.importorskip("pyulog")
-    log = opened(newer().data)
-    topics = pyulog.ULog(str(log.path)).data_list
-    assert {topic.name for topic in topics} == log.message_types().keys()
-    for topic in topics:
-        table = log.message(topic.name)
-        for field, column in topic.data.items():
-            assert table[field].tobytes() == column.tobytes(), field
 
 
 def test_two_gimbals_in_one_topic_of_px4_are_two_channels(opened):
@@ -298,9 +292,8 @@ def test_data_appended_after_a_crash_is_read_once(opened):
 
 
 def test_a_header_that_is_cut_is_refused(opened):
-    with refused("LOG-ULOG") as caught:
+    with refused("LOG-ULOG", says="after 8 of 16 bytes"):
         opened(b"ULog\x01\x12\x35\x01")
-    assert "after 8 of 16 bytes" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -311,9 +304,8 @@ def test_flags_that_are_not_known_are_refused(opened, byte, bit):
     """Bit 0 of the incompatible flags means appended data; what others mean may be anything."""
     data = bytearray(flight())
     data[byte] |= 1 << bit
-    with refused("LOG-ULOG") as caught:
+    with refused("LOG-ULOG", says="incompatible flags"):
         opened(bytes(data))
-    assert "incompatible flags" in str(caught.value)
 
 
 def test_compatible_flags_that_are_not_known_are_left(opened):
@@ -368,11 +360,6 @@ def test_a_pitot_tube_gives_dynamic_pressure_and_heating(opened):
     assert_allclose(heating, true**2 / (2.0 * 1004.7), rtol=1e-3)
 
 
-def test_pyulog_is_not_needed(opened, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyulog", None)
-    assert len(opened(flight()).channels) == 6
-
-
 WHOLE_FILE = flight()
 
 
@@ -401,10 +388,7 @@ def test_a_file_whose_head_is_lost_or_damaged(opened, head, count):
 
 def regular():
     """Definitions, and 60 s of messages: attitude at 100 Hz, air at 50 Hz, receiver at 5 Hz."""
-    writer = ULogWriter()
-    writer.define("sensor_gps", NEW_GPS)
-    writer.define("vehicle_attitude", QUATERNION)
-    writer.define("vehicle_air_data", "float baro_pressure_pa;float ambient_temperature;")
+    writer = writer_of_114()
     writer.subscribe("sensor_gps", "vehicle_attitude", "vehicle_air_data")
     head = writer.data
     rows = []
@@ -451,11 +435,6 @@ def test_triggers_and_feedbacks_of_one_topic_are_two_channels(opened):
     both = entry_in(log, "EVENTS-BOTH")
     assert both.kind == "note"
     assert both.count == 16
-
-
-def test_an_intact_log_is_whole(opened):
-    head, rows = regular()
-    assert not opened(head + b"".join(rows)).ledger.has_losses
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
+from tests.ingest.written_logs import subscription, ulog_message
 from unbend.ingest.buffers import view_of_bytes
 from unbend.ingest.ulog.ulog_messages import ULogMessages, flags_of
 
@@ -29,20 +30,12 @@ SIZES = {
 HEADER = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
 
 
-def message(kind, content):
-    return struct.pack("<HB", len(content), ord(kind)) + content
-
-
 def definition(name, fields):
-    return message("F", f"{name}:{fields}".encode())
-
-
-def subscription(number, name, instance=0):
-    return message("A", struct.pack("<BH", instance, number) + name.encode())
+    return ulog_message("F", f"{name}:{fields}".encode())
 
 
 def datum(number, content):
-    return message("D", struct.pack("<H", number) + content)
+    return ulog_message("D", struct.pack("<H", number) + content)
 
 
 def read(data):
@@ -92,7 +85,7 @@ def test_rows_are_those_of_pyulog(inner, outer, top, padding, rows, seed):
     for name, fields in (("inner", inner), ("outer", outer), ("top", top)):
         sizes[name] = sum(sizes[kind] * max(count, 1) for kind, count in fields)
     pad = f"uint8_t[{padding}] _padding0;" if padding else ""
-    data = HEADER + message("B", bytes(40)) + definition("inner", declared(inner))
+    data = HEADER + ulog_message("B", bytes(40)) + definition("inner", declared(inner))
     data += definition("a", f"uint64_t timestamp;{declared(top)}{pad}")
     data += definition("outer", declared(outer))
     for instance in range(3):
@@ -142,7 +135,7 @@ SUBSCRIBED = subscription(0, "a")
     ],
 )
 def test_what_is_not_defined_is_not_read(format_a):
-    ours = read(HEADER + message("F", format_a) + SUBSCRIBED + 4 * ROW)
+    ours = read(HEADER + ulog_message("F", format_a) + SUBSCRIBED + 4 * ROW)
     assert not ours.counts
     assert ours.bad_bytes >= len(4 * ROW + SUBSCRIBED)
 
@@ -201,10 +194,10 @@ def test_data_without_a_definition_are_passed_one_by_one():
 def test_flags_and_places_of_appended_data():
     incompatible = b"\1" + bytes(7)
     places = struct.pack("<3Q", 70, 0, 10**6)
-    data = HEADER + message("B", bytes(8) + incompatible + places) + bytes(50)
+    data = HEADER + ulog_message("B", bytes(8) + incompatible + places) + bytes(50)
     assert flags_of(view_of_bytes(data)) == (incompatible, [70])  # inside the file
     assert flags_of(view_of_bytes(GOOD + bytes(50))) == (bytes(8), [])
-    unset = HEADER + message("B", bytes(16) + places) + bytes(50)
+    unset = HEADER + ulog_message("B", bytes(16) + places) + bytes(50)
     assert flags_of(view_of_bytes(unset)) == (bytes(8), [])
 
 

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pyproj
 from scipy.spatial.transform import Rotation
 
+from tests.lens import brown
 from tests.tables.exports.export_runs import (
     DOWN,
     ecef_of,
@@ -62,12 +63,7 @@ SIGMA_HEIGHT = 0.05
 
 
 def distorted(camera, u, v):
-    """OpenCV's formulas."""
-    k1, k2, k3, p1, p2 = camera.distortion
-    r2 = u * u + v * v
-    radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-    x = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
-    y = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v
+    x, y = brown(u, v, **camera.distortion._asdict())
     x_px = camera.fx_px * x + camera.cx_px
     y_px = camera.fy_px * y + camera.cy_px
     return x_px, y_px

@@ -1,18 +1,16 @@
 """Ten times as many image points take at most 100 MB more, whatever the format."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+
+from tests.logs import REPOSITORY
 
 NAMES = ["colmap-database", "opensfm", "colmap", "bundler", "bingo"]
 """`make faults` tries all, `make test` the first two."""
 
-ROOT = Path(__file__).resolve().parents[3]
 PROGRAM = "tests.tables.exports.block_memory"
 
 
@@ -24,7 +22,7 @@ def test_memory_grows_little_with_the_image_points(tmp_path, name):
         folder = tmp_path / str(rows)
         folder.mkdir()
         words = [sys.executable, "-m", PROGRAM, name, str(rows), folder]
-        ended = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT)
+        ended = subprocess.run(words, capture_output=True, text=True, check=True, cwd=REPOSITORY)
         before, peak = map(float, ended.stdout.split())
         assert before < peak
         peaks.append(peak)

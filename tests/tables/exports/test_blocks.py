@@ -18,7 +18,7 @@ import pycolmap
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.helpers import refused, with_code
+from tests.helpers import one_line, refused, with_code
 from tests.tables.checks import assert_within, refused_with
 from tests.tables.exports.export_runs import DOWN, read_table, write_export
 from tests.tables.exports.projected_block import (
@@ -720,11 +720,11 @@ def test_from_the_command_line_with_its_mark(unbend, baseline, tmp_path, name):
     ]
     if name == "bingo":
         words += ["--pixel-um", 5]
-    rows = baseline.results().to_pandas()
+    rows = baseline.result_rows()
 
     ended = unbend(*words)
 
-    text = " ".join(ended.text.split())
+    text = one_line(ended.text)
     expected_code = 3 if "EXPORT-LEFT-OUT" in text else 0
     assert ended.code == expected_code, text
     assert "neither earth curvature nor a map projection is applied" in text

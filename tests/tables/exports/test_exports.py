@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_array_equal
 
-from tests.helpers import refused, with_code
+from tests.helpers import one_line, refused, with_code
 from tests.tables.exports.export_runs import DOWN, finished_run, stations_at, write_export
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
@@ -337,7 +337,7 @@ def test_the_command_line_shows_the_options_of_every_format(unbend):
     """Generated from the declarations: flag, help, default and limits."""
     ended = unbend("export", "--help")
 
-    shown = " ".join(ended.out.split())
+    shown = one_line(ended.out)
     shown = shown.replace("- ", "-")  # lines also break at hyphens
     assert "geojson, kml stations and footprints" in shown
     for form in FORMATS.values():

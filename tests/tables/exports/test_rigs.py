@@ -41,7 +41,7 @@ INSERT INTO frame_data VALUES (23, 15, 7, 0), (23, 17, 9, 0), (24, 16, 8, 0);
 def source(tmp_path):
     path = tmp_path / "source.db"
     with closing(sqlite3.connect(path)) as database:
-        database.executescript(SCHEMA.read_text(encoding="utf-8") + SOURCE)
+        database.executescript(SCHEMA.read_text("utf-8") + SOURCE)
     return path
 
 

@@ -175,7 +175,7 @@ def test_kml_read_by_gdal(run):
 
     stations = geopandas.read_file(written.path, layer="stations")
     grounds = geopandas.read_file(written.path, layer="footprints")
-    text = written.path.read_text(encoding="utf-8")
+    text = written.path.read_text("utf-8")
 
     assert written.count == len(stations) + len(grounds) == 4 + 3
     assert written.counts == LOSSES

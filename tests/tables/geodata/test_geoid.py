@@ -1,7 +1,7 @@
 """Undulations: the grid of the package and others, against PROJ and published values."""
 
 import hashlib
-import struct
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import pytest
 import rasterio
 from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.stages import terrain_models
 from tests.tables.checks import assert_within, refused_with
 from tests.tables.geodata.rasters import write_raster
 from unbend.tables.geodata.geoid import package_geoid, read_geoid
@@ -19,10 +20,8 @@ from unbend.tables.geodata.geoid import package_geoid, read_geoid
 PUBLISHED_SHA256 = "c02a6eb70a7a78efebe5adf3ade626eb75390e170bb8b3f36136a2c28f5326a0"
 
 
-def gtx(values):
-    """A grid of half degrees from 40 degrees north and 10 degrees east."""
-    head = struct.pack(">4d2i", 40.0, 10.0, 0.5, 0.5, *values.shape)
-    return head + values.astype(">f4").tobytes()
+gtx = partial(terrain_models.gtx, 40.0, 10.0, 0.5)
+"""A grid of half degrees from 40 degrees north and 10 degrees east."""
 
 
 def level_gtx(undulation_m):

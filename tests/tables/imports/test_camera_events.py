@@ -1,7 +1,5 @@
 """Camera events with positions: .MRK, RTKLIB's events, POSPac's EO text."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -507,7 +507,7 @@ GIMBAL_HEAD += "GimbalRollDegree{0}GimbalPitchDegree{0}GimbalYawDegree\n"
     ],
 )
 def test_tags_of_spreadsheets_are_read_as_numbers(text):
-    TABLE.write_text(text, encoding="utf-8")
+    TABLE.write_text(text, "utf-8")
 
     table = read_gimbal_orientations(TABLE, Stated(), Ledger())
     (body,), _ = gimbal(TABLE)
@@ -521,7 +521,7 @@ def test_tags_that_are_no_numbers_are_losses():
     """Thousands, and what a translated tag reader writes, are not read in part."""
     text = GIMBAL_HEAD.format(",")
     text += 'a.jpg,46.5,7.5,"1,234",0,-90,0\nb.jpg,46.5,7.5,3000.0,0,abwärts,0\n'
-    TABLE.write_text(text, encoding="utf-8")
+    TABLE.write_text(text, "utf-8")
     ledger = Ledger()
     table = read_gimbal_orientations(TABLE, Stated(), ledger)
     assert np.isnan(table.position[0, 2])

@@ -26,7 +26,7 @@ ROW = "a,47.5,8.5,3000.5,1.0,-2.0,90.0\n"
 
 def read(text, names=NAMES, unit="deg"):
     path = Path("block.csv")
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, "utf-8")
     settings = Stated(columns=names, angle_unit=unit)
     ledger = Ledger()
     table = read_orientation(path, settings, ledger)
@@ -260,7 +260,7 @@ def test_quaternions_that_are_none():
 
 def test_known_positions():
     path = Path("known.csv")
-    path.write_text("name,b,l,h\nx,47.0,8.0,2500\n", encoding="utf-8")
+    path.write_text("name,b,l,h\nx,47.0,8.0,2500\n", "utf-8")
     names = {
         "image": "name",
         "latitude": "b",
@@ -289,7 +289,7 @@ UNSTATED = ("camera", "time_utc", "sigma_horizontal_m", "sigma_height_m", "sigma
 
 def read_by_defaults(text, **options):
     path = Path("own.csv")
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, "utf-8")
     settings = Stated(columns=DEFAULTS, heights="ellipsoid", **options)
     ledger = Ledger()
     return read_orientation(path, settings, ledger), ledger

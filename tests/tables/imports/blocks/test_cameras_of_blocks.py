@@ -8,6 +8,7 @@ import pycolmap
 import pytest
 
 from tests.helpers import refused
+from tests.lens import brown
 from tests.tables.checks import assert_within, refused_with
 from unbend.refraction.calibration import camera_of_model
 from unbend.tables.imports.blocks import read_camera
@@ -83,9 +84,7 @@ def opensfm_projection(camera, u, v):
         x = u * bent
         y = v * bent
     else:
-        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-        x = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
-        y = v * radial + 2 * p2 * u * v + p1 * (r2 + 2 * v * v)
+        x, y = brown(u, v, k1, k2, p1, p2, k3)
     focal_x = camera.get("focal", camera.get("focal_x"))
     focal_y = camera.get("focal", camera.get("focal_y"))
     return np.transpose([focal_x * x + c_x, focal_y * y + c_y])

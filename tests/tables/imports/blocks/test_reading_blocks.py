@@ -694,17 +694,17 @@ def test_archive_and_tables_hold_the_same_camera(strasbourg):
 )
 def test_what_of_dbat_cannot_be_read(script, file, change, words):
     path = script.parent / file
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text("utf-8")
     assert change[0] in text
-    path.write_text(text.replace(*change), encoding="utf-8")
+    path.write_text(text.replace(*change), "utf-8")
     assert words in refusal(script, "dbat")
 
 
 def test_a_script_of_dbat_with_two_cameras_says_so(script):
-    text = script.read_text(encoding="utf-8")
+    text = script.read_text("utf-8")
     before, camera, after = re.split("(<camera>.*</camera>)", text, flags=re.DOTALL)
     other = camera.replace("<camera>", "<camera><id>7</id>")
-    script.write_text(before + camera + other + after, encoding="utf-8")
+    script.write_text(before + camera + other + after, "utf-8")
     said = refusal(script, "dbat")
     assert "it has 2 cameras; only one can be read" in said
     assert "report" not in said
@@ -712,9 +712,9 @@ def test_a_script_of_dbat_with_two_cameras_says_so(script):
 
 def test_lens_distortion_of_dbat_is_a_correction_in_powers_of_mm(script):
     """x_mm + K1 r^2 x is what projects: a pixel 20 mm from the centre, by hand."""
-    text = script.read_text(encoding="utf-8")
+    text = script.read_text("utf-8")
     text = text.replace("<K>0,0,0</K>", "<K>1e-6,0,0</K>")
-    script.write_text(text, encoding="utf-8")
+    script.write_text(text, "utf-8")
 
     camera = read_camera(script, "dbat", None)
 
