@@ -650,6 +650,14 @@ def test_tie_points_tell_another_reading_of_nadir_images(true_table, ties_of, re
     assert reading in refusal.value.what
 
 
+def test_heights_in_feet_are_corrected_in_the_file(true_table, ties_of):
+    nadir = true_table[true_table["camera"] == "nadir"]
+    changed = evaluated(nadir, READINGS["the heights are in feet"])
+    with refused("ORIENTATION-READING") as refusal:
+        ties_of(changed)
+    assert "change the heights in the file to metres (times 0.3048)" in refusal.value.remedy
+
+
 def test_tie_points_tell_the_order_of_the_rotations(true_table, ties_of):
     """Angles of oblique images in the other order of rotations, by their matrices."""
     with refused("ORIENTATION-READING") as refusal:
