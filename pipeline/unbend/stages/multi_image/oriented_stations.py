@@ -91,7 +91,7 @@ def oriented_stations(
             frame=frame,
             exposed=exposed,
             has_control=mission.control is not None,
-            has_tested_heights=has_tie_points and mission.ground.is_given,
+            has_tested_heights=has_tie_points and has_ground_heights(mission, ties),
         )
     )
     use_suspect = mission.stations.use_suspect
@@ -107,6 +107,15 @@ def oriented_stations(
     readings = other_readings(section, table, reader)
     refuse_other_reading(stations, readings, rays, where=section.path)
     return stations
+
+
+def has_ground_heights(mission: Mission, ties: TiePoints) -> bool:
+    """Whether heights of the ground are given that tie points can be compared with."""
+    ground = mission.ground
+    if not ground.is_given:
+        return False
+    is_for_all = ground.constant_m is not None or ground.model is not None
+    return is_for_all or bool(np.isfinite(ties.ground).any())
 
 
 def other_readings(
