@@ -26,11 +26,11 @@ from unbend.batch.opening import (
     open_inputs,
     open_table,
     paths_beside_tables,
+    places_beside,
     stated_orientation,
 )
-from unbend.block.known_places import KnownPlaces
 from unbend.config import Mission
-from unbend.config.orientations import KnownPositions, OrientationSection
+from unbend.config.orientations import KnownPositions
 from unbend.config.reading import mission_of
 from unbend.flight.stations import Stations
 from unbend.messages import LOSSES, Ledger, Message
@@ -421,21 +421,6 @@ def inputs_of_tables(
         read = known_positions_of_frame(known, section.known_positions.path, columns)
         inputs = replace(inputs, known_positions=KnownImagePositions(*read))
     return mission, inputs
-
-
-def places_beside(frame: pd.DataFrame, section: OrientationSection) -> Iterator[KnownPlaces]:
-    """Latitudes and longitudes in a table of stations that has its positions in other columns.
-
-    They are compared with these positions. ``frame`` has columns named by quantities.
-    """
-    is_position = "latitude" in section.column_names
-    if is_position or not {"latitude", "longitude"} <= {*frame.columns}:
-        return
-    degrees = frame[["latitude", "longitude"]].apply(pd.to_numeric, errors="coerce")
-    position = np.full((len(frame), 3), np.nan)
-    position[:, :2] = np.radians(degrees.to_numpy(np.float64))
-    image = frame[section.column_names["image"]].to_numpy(object)
-    yield KnownPlaces("latitude and longitude in the table of stations", image, position)
 
 
 def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> FlightAir:

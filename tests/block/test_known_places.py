@@ -155,17 +155,25 @@ def test_a_frame_that_nothing_confirms_says_so():
     assert codes(BLOCK, few) == ["FRAME-CONFIRMED", "FRAME-UNVERIFIED"]
 
 
-def test_heights_of_tie_points_test_scale_and_unit():
+@pytest.mark.parametrize(
+    ("system", "last"),
+    [
+        ("UTM zone 33N", "a tilt of a degree"),
+        ("", "a tilt of a degree, a scale about the height of the ground"),
+    ],
+    ids=["map", "local"],
+)
+def test_heights_of_tie_points_test_the_unit(system, last):
     (note,) = frame_notes(
         stations_at(BLOCK),
         [],
         must_be_tested=True,
         where="x",
-        system="UTM zone 33N",
+        system=system,
         has_tested_heights=True,
     )
-    assert "a turn about the vertical, a tilt of a degree. The 24 images" in note.what
-    assert "scale" not in note.what
+    assert f"a turn about the vertical, {last}. The 24 images" in note.what
+    assert "unit" not in note.what
 
 
 def test_positions_belong_to_images_by_name():

@@ -215,24 +215,30 @@ def test_stations_in_a_projection_have_a_height_of_that_name(simple, projected):
 
 
 def test_latitudes_beside_map_coordinates_are_compared_with_them(simple, projected):
-    confirmed = simple(stations=projected, orientation=IN_UTM)
-    contradicted = simple(stations=projected.assign(lat_deg=46.0), orientation=IN_UTM)
+    elsewhere = projected.assign(lat_deg=46.0)
 
-    assert "in the table of stations" in entry_of(confirmed.attrs, "FRAME-CONFIRMED")["what"]
+    confirmed = simple(stations=projected, orientation=IN_UTM)
+    contradicted = simple(stations=elsewhere, orientation=IN_UTM)
+
+    entry = entry_of(confirmed.attrs, "FRAME-CONFIRMED")
+    assert "in the table of stations" in entry["what"]
     assert "FRAME-UNVERIFIED" not in codes_of(confirmed.attrs)
     assert "FRAME-PLACES" in codes_of(contradicted.attrs)
 
 
 @pytest.mark.parametrize("kind", [pd.DataFrame, pa.Table.from_pandas])
 def test_known_positions_may_be_a_table_in_memory(simple, projected, kind):
-    known = projected[["image", "lat_deg", "lon_deg"]].assign(height=projected["h_msl_m"])
+    known = projected[["image", "lat_deg", "lon_deg"]].copy()
+    known["height"] = projected["h_msl_m"]
     stations = projected.drop(columns=["lat_deg", "lon_deg"])
+    with_positions = {**IN_UTM, "known_positions": kind(known)}
 
     alone = simple(stations=stations, orientation=IN_UTM)
-    result = simple(stations=stations, orientation={**IN_UTM, "known_positions": kind(known)})
+    result = simple(stations=stations, orientation=with_positions)
 
     assert "FRAME-UNVERIFIED" in codes_of(alone.attrs)
-    assert "known_positions of" in entry_of(result.attrs, "FRAME-CONFIRMED")["what"]
+    entry = entry_of(result.attrs, "FRAME-CONFIRMED")
+    assert "known_positions of" in entry["what"]
     assert_frame_equal(result[CORRECTED], alone[CORRECTED])
 
 
@@ -489,8 +495,15 @@ def test_tables_that_a_run_refuses(refuse, frame, opk):
 
 
 def test_known_positions_in_memory_are_refused_as_those_of_a_file(refuse, opk):
-    known = pd.DataFrame({"image": ["a"], "latitude": [47.0], "longitude": [8.0]})
-    refuse("ORIENTATION-COLUMN", orientation={**HEIGHTS, "known_positions": known})
+    known = pd.DataFrame(
+        {
+            "image": ["a"],
+            "latitude": [47.0],
+            "longitude": [8.0],
+        }
+    )
+    orientation = {**HEIGHTS, "known_positions": known}
+    refuse("ORIENTATION-COLUMN", orientation=orientation)
 
 
 @pytest.mark.parametrize(

@@ -500,7 +500,7 @@ def test_check_shows_the_stated_date_and_the_keys_of_missing_sigmas(block, witho
 
     text = " ".join(ended.out.split())
     assert "time 2026-07-15T09:40:00Z, as the mission file states" in text
-    assert "(stations.orientation.sigma_tilt_deg)" in text
+    assert "(stations.orientation.sigma_tilt_deg" in text
     assert "(stations.orientation.sigma_height_m)" in text
 
 

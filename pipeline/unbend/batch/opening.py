@@ -1,10 +1,12 @@
 """The inputs of a mission are opened: paths become the tables and readers that the stages take."""
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pyarrow as pa
 
 from unbend.batch import remote
@@ -231,6 +233,21 @@ def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
     for path, program in programs.items():
         places += blocks.read_block_places(path, program)
     return places
+
+
+def places_beside(frame: pd.DataFrame, section: OrientationSection) -> Iterator[KnownPlaces]:
+    """Latitudes and longitudes in a table of stations that has its positions in other columns.
+
+    They are compared with these positions. ``frame`` has columns named by quantities.
+    """
+    is_position = "latitude" in section.column_names
+    if is_position or not {"latitude", "longitude"} <= {*frame.columns}:
+        return
+    degrees = frame[["latitude", "longitude"]].apply(pd.to_numeric, errors="coerce")
+    position = np.full((len(frame), 3), np.nan)
+    position[:, :2] = np.radians(degrees.to_numpy(np.float64))
+    image = frame[section.column_names["image"]].to_numpy(object)
+    yield KnownPlaces("latitude and longitude in the table of stations", image, position)
 
 
 def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints | None:

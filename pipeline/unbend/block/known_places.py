@@ -340,13 +340,14 @@ def unverified(stations: Stations, where: str, system: str, untested: str) -> Me
     if len(position):
         block, _, _ = in_one_plane(position, position)
         extent = float(np.linalg.norm(np.ptp(block[:, :2], axis=0)))
+    lowest_m = float(np.min(stations.h_msl_m[ok], initial=np.inf))
+    highest_m = float(np.max(stations.h_msl_m[ok], initial=-np.inf))
     return messages.frame_unverified(
         where=where,
         count=int(ok.sum()),
         untested=untested,
         extent=extent,
-        low=float(np.min(stations.h_msl_m[ok], initial=np.inf)),
-        high=float(np.max(stations.h_msl_m[ok], initial=-np.inf)),
+        heights=(lowest_m, highest_m),
         latitude_deg=float(np.degrees(stations.mean_latitude_rad)),
         longitude_deg=float(np.degrees(stations.median_longitude_rad)),
         system=system,

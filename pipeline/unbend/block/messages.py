@@ -260,7 +260,7 @@ FRAME_UNVERIFIED = Code(
     "FRAME-UNVERIFIED",
     means=(
         "No known positions confirm the frame of the block. The entry lists what nothing in this "
-        "mission tests. Tie points with ground heights test its scale and its heights."
+        "mission tests. Tie points with ground heights test its heights and a tilt of some degrees."
     ),
     effect=(
         "None. If one of the listed properties is wrong, no check reports it. A wrong scale, unit "
@@ -269,12 +269,12 @@ FRAME_UNVERIFIED = Code(
         "positions and azimuths, but hardly the corrections."
     ),
     remedy=(
-        "Compare place, extent and heights with the flight. If you know positions of four images "
-        "or more (GNSS of the exposures, logged by the receiver or the camera), write "
+        "Compare place, extent and heights with the flight. For positions of four images or more "
+        "(GNSS of the exposures, logged by the receiver or the camera), write "
         "stations.orientation.known_positions: {path: positions.csv}, a table of the columns "
         "image, latitude, longitude and height. The section events.images with positions in EXIF, "
-        "the section control, and a database with pose priors confirm the frame too. If you have "
-        "none of these, export --format kml after the run: a map shows a wrong zone and a turn."
+        "the section control, and a database with pose priors confirm the frame too. Without "
+        "any of these, export --format kml after the run: a map shows a wrong zone and a turn."
     ),
 )
 
@@ -299,10 +299,11 @@ def untested_in_words(*, is_map: bool, has_tested_heights: bool) -> str:
     """
     properties = ["zone, datum and offsets of the map" if is_map else "the place"]
     properties.append("a turn about the vertical")
-    if has_tested_heights:
-        properties.append("a tilt of a degree")
-    else:
-        properties += ["a tilt", "the scale", "the unit"]
+    properties.append("a tilt of a degree" if has_tested_heights else "a tilt")
+    if not has_tested_heights:
+        properties += ["the scale", "the unit"]
+    elif not is_map:
+        properties.append("a scale about the height of the ground")
     return ", ".join(properties)
 
 
@@ -312,16 +313,15 @@ def frame_unverified(
     count: int,
     untested: str,
     extent: float,
-    low: float,
-    high: float,
+    heights: tuple[float, float],
     latitude_deg: float,
     longitude_deg: float,
     system: str,
 ) -> Message:
     """Nothing confirms the frame of a block; ``system`` names its coordinate system, if it has one.
 
-    ``untested`` lists what no check would notice. The latitude and longitude are those of the
-    middle of its images.
+    ``untested`` lists what no check would notice. ``heights`` are the lowest and the highest of its
+    images [m above sea level], the latitude and longitude those of their middle.
     """
     place = "at latitude {latitude_deg:.2f}, longitude {longitude_deg:.2f}"
     if system:
@@ -345,8 +345,8 @@ def frame_unverified(
         count=count,
         untested=untested,
         extent=f"{extent:,.0f}" if extent >= SMALL_BLOCK_M else f"{extent:.2g}",
-        low=low,
-        high=high,
+        low=heights[0],
+        high=heights[1],
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
         system=system,

@@ -167,7 +167,10 @@ def _word_lines(word: str) -> list[str]:
 def _value_lines(word: str) -> list[str]:
     """What the keys that take a word as their value are; the first 8, and the names of others."""
     keys = [*mission_keys(), *campaign_keys()]
-    taking = [key for key in keys if word in _values_of(key)]
+    taking = []
+    for key in keys:
+        if word in _values_of(key):
+            taking.append(key)
     if not taking:
         return []
     return [f"{word} (value of keys)", "", *_lines_of_keys(taking, keys)]
@@ -180,7 +183,11 @@ def _values_of(key: MissionKey) -> list[str]:
     >>> _values_of(key)
     ['msl', 'ellipsoid', 'relative']
     """
-    return [value for value in re.split(r" \| | or ", key.allowed) if " " not in value]
+    values = []
+    for value in re.split(r" \| | or ", key.allowed):
+        if " " not in value:
+            values.append(value)
+    return values
 
 
 def _key_lines(word: str) -> list[str]:
@@ -236,7 +243,9 @@ def _near(word: str) -> list[str]:
     codes_of_meanings = meanings()["codes"]
     near = difflib.get_close_matches(word.upper(), codes_of_meanings, MAX_NEAR_CODES, LIKE_A_CODE)
     keys = [*mission_keys(), *campaign_keys()]
-    names = {value: value for key in keys for value in _values_of(key)}
+    names: dict[str, str] = {}
+    for key in keys:
+        names |= {value: value for value in _values_of(key)}
     names |= {key.path.rpartition(".")[2]: key.path for key in keys}
     for kind in TITLES:
         names |= {status: status for status in meanings()[kind]}
