@@ -20,8 +20,17 @@ from unbend.atmosphere import Profile
 from unbend.atmosphere.estimate.adjusted_profile import unadjusted
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
 from unbend.batch.finished_run.read_back import air_of, stations_of
-from unbend.batch.opening import open_inputs, open_table, paths_beside_tables, stated_orientation
+from unbend.batch.opening import (
+    KNOWN_POSITIONS,
+    columns_of_positions,
+    open_inputs,
+    open_table,
+    paths_beside_tables,
+    places_beside,
+    stated_orientation,
+)
 from unbend.config import Mission
+from unbend.config.orientations import KnownPositions
 from unbend.config.reading import mission_of
 from unbend.flight.stations import Stations
 from unbend.messages import LOSSES, Ledger, Message
@@ -29,11 +38,11 @@ from unbend.refraction.effect import FlightAir
 from unbend.stages import messages
 from unbend.stages.correction import correct_parts
 from unbend.stages.correction_setup import CorrectionSetup
-from unbend.stages.opened_inputs import OpenedInputs
+from unbend.stages.opened_inputs import KnownImagePositions, OpenedInputs
 from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import Statistics
 from unbend.stages.story import PreparedMission, correct_mission, prepare_mission
-from unbend.tables.imports.user_tables import orientation_of_frame
+from unbend.tables.imports.user_tables import known_positions_of_frame, orientation_of_frame
 from unbend.tables.manifest.results import ResultsRecord
 
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
@@ -114,7 +123,8 @@ def correct(
     cameras : the section of that name of a mission file.
     orientation : further keys of ``stations.orientation``, for what the names of columns do not
         say: angles (``quaternion_to_frame`` for the inverse), frame, heights, unit, columns, date,
-        sigmas.
+        sigmas. ``known_positions`` may be a table with image, latitude, longitude [deg] (or
+        lat_deg, lon_deg) and height [m] with the reference of the heights of ``stations``.
     sections : other sections of a mission file, as ``ground={"height": 120.0}``, or
         ``observations={"pixel_origin": "centre"}`` where pixels count from the centre of the first.
         The section ``ground`` has the defaults ``height={"column": "h_g_m"}`` and
@@ -137,14 +147,15 @@ def correct(
     placed: pa.Table = _arrow_table(stations, "stations")
     frame = placed.to_pandas().rename(columns=_QUANTITY_OF_COLUMN)
     given = {"cameras": cameras, "atmosphere": _atmosphere(profile), **sections}
-    mission = mission_of_tables(frame, orientation or {}, given)
+    stated, known = apart_from_known_positions(orientation or {})
+    mission = mission_of_tables(frame, stated, given)
     run_stations = None
     if {*placed.column_names} >= _COLUMNS_OF_A_RUN:
         run_stations = stations_of(placed)
         from_run = mission.stations.model_copy(update={"orientation": None})
         mission = mission.model_copy(update={"log": None, "stations": from_run})
-    ledger = Ledger(messages_of_tables(mission, frame, orientation or {}, sections))
-    mission, inputs = inputs_of_tables(mission, measured, frame, ledger)
+    ledger = Ledger(messages_of_tables(mission, frame, stated, sections))
+    mission, inputs = inputs_of_tables(mission, measured, frame, ledger, known=known)
     prepared = prepare_mission(mission, inputs, ledger, stations=run_stations)
     if not isinstance(profile, str | Mapping):
         prepared = replace(prepared, air=air_of_stations(profile, placed, prepared.stations))
@@ -203,6 +214,21 @@ def _arrow_table(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
         kind = type(table).__name__
         raise TypeError(f"{name} must be a pandas DataFrame or a pyarrow Table, not a {kind}")
     return table
+
+
+def apart_from_known_positions(
+    orientation: Mapping[str, Any],
+) -> tuple[Mapping[str, Any], pd.DataFrame | None]:
+    """The keys of an orientation, and its known positions where they are a table in memory.
+
+    The columns of the table are named by quantities. In the keys a name of a file stands for it.
+    """
+    given = orientation.get("known_positions")
+    if not isinstance(given, pd.DataFrame | pa.Table):
+        return orientation, None
+    table = _arrow_table(given, "known_positions").to_pandas()
+    known = table.rename(columns=_QUANTITY_OF_COLUMN)
+    return {**orientation, "known_positions": {"path": "known_positions"}}, known
 
 
 def mission_of_tables(
@@ -365,20 +391,36 @@ def _plain_value(value: object) -> object:
 
 
 def inputs_of_tables(
-    mission: Mission, measured: pa.Table, frame: pd.DataFrame, ledger: Ledger
+    mission: Mission,
+    measured: pa.Table,
+    frame: pd.DataFrame,
+    ledger: Ledger,
+    *,
+    known: pd.DataFrame | None = None,
 ) -> tuple[Mission, OpenedInputs]:
     """The opened inputs of a mission: tables in memory, and the files that it names.
 
-    The mission comes back with what the files of its cameras say.
+    ``known`` is the table of known positions, if it is not in a file. The mission comes back with
+    what the files of its cameras say.
     """
-    mission, paths = paths_beside_tables(mission, Path.cwd())
+    in_memory = set() if known is None else {KNOWN_POSITIONS}
+    mission, paths = paths_beside_tables(mission, Path.cwd(), in_memory=in_memory)
     observations = open_table(mission, Path(mission.observations.path), ledger, table=measured)
     inputs = open_inputs(mission, paths, observations, None, ledger)
     section = mission.stations.orientation
     if section is None:
         return mission, inputs
     table = orientation_of_frame(frame, section.path, stated_orientation(section), ledger)
-    return mission, replace(inputs, orientation=table)
+    inputs = replace(
+        inputs,
+        orientation=table,
+        block_places=(*inputs.block_places, *places_beside(frame, section)),
+    )
+    if known is not None and isinstance(section.known_positions, KnownPositions):
+        columns = columns_of_positions(section.known_positions)
+        read = known_positions_of_frame(known, section.known_positions.path, columns)
+        inputs = replace(inputs, known_positions=KnownImagePositions(*read))
+    return mission, inputs
 
 
 def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> FlightAir:

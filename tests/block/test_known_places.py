@@ -147,10 +147,33 @@ def test_a_frame_that_nothing_confirms_says_so():
     stations = stations_at(BLOCK)
     (named,) = frame_notes(stations, [], must_be_tested=True, where="x", system="UTM zone 33N")
     assert f"{middle} by UTM zone 33N" in named.what
+    assert "Not tested: zone, datum and offsets of the map, a turn about" in named.what
+    assert "Not tested: the place, a turn about the vertical, a tilt, the scale" in note.what
     assert "stations.orientation.known_positions: {path: positions.csv}" in note.what
     assert not messages(BLOCK, nothing, must_be_tested=False)
     few = np.where(np.arange(24)[:, None] < 3, noisy(7), np.nan)
     assert codes(BLOCK, few) == ["FRAME-CONFIRMED", "FRAME-UNVERIFIED"]
+
+
+@pytest.mark.parametrize(
+    ("system", "last"),
+    [
+        ("UTM zone 33N", "a tilt of a degree"),
+        ("", "a tilt of a degree, a scale about the height of the ground"),
+    ],
+    ids=["map", "local"],
+)
+def test_heights_of_tie_points_test_the_unit(system, last):
+    (note,) = frame_notes(
+        stations_at(BLOCK),
+        [],
+        must_be_tested=True,
+        where="x",
+        system=system,
+        has_tested_heights=True,
+    )
+    assert f"a turn about the vertical, {last}. The 24 images" in note.what
+    assert "unit" not in note.what
 
 
 def test_positions_belong_to_images_by_name():

@@ -44,11 +44,23 @@ def test_every_key_and_every_code_is_found():
 
 @pytest.mark.parametrize(
     ("typo", "meant"),
-    [("undulaton_m", "undulation_m"), ("EVENTS-AMBIGOUS", "EVENTS-AMBIGUOUS"), ("f_pix", "f_px")],
+    [
+        ("undulaton_m", "undulation_m"),
+        ("EVENTS-AMBIGOUS", "EVENTS-AMBIGUOUS"),
+        ("f_pix", "f_px"),
+        ("omega_phi_kapa", "omega_phi_kappa"),
+    ],
 )
 def test_a_typo_gets_the_nearest_names(typo, meant):
     with refused("HELP-WORD", remedy=meant):
         explain(typo)
+
+
+def test_a_value_is_explained_by_the_keys_that_take_it():
+    lines = explain("omega_phi_kappa")
+    assert lines[:3] == ["omega_phi_kappa (value of keys)", "", "stations.orientation.angles"]
+    assert "turns vectors of the photo (x right, y up, z backward) to the frame" in lines[3]
+    assert "ground.reference" in explain("relative")
 
 
 def test_every_status_is_found():

@@ -243,6 +243,7 @@ def test_known_positions_are_compared_with_a_stated_frame(block, tmp_path):
     unverified = messages["FRAME-UNVERIFIED"]
     assert unverified["kind"] == "warning"
     assert "12 images are within 11 m" in unverified["what"]
+    assert "a tilt, the scale, the unit." in unverified["what"]  # heights are those of the block
     to_write = "write stations.orientation.known_positions: {path: positions.csv}"
     assert to_write in unverified["what"]
     text = verdict(read_manifest(tmp_path / "results"))

@@ -189,22 +189,56 @@ def in_other_frame(baseline):
     return turned
 
 
-def test_stations_in_a_projection_have_a_height_of_that_name(simple, in_other_frame, baseline):
-    table = baseline.station_rows()
-    longitude = table["lon_deg"]
-    latitude = table["lat_deg"]
+@pytest.fixture
+def projected(in_other_frame, baseline):
+    """Stations in UTM that keep their latitudes and longitudes too."""
     projection = Proj("EPSG:32632")
+    latitude, longitude = baseline.station_rows()[["lat_deg", "lon_deg"]].to_numpy().T
     convergence = projection.get_factors(longitude, latitude).meridian_convergence
     about_z = Rotation.from_euler("z", convergence[:, None], degrees=True)
     stations = in_other_frame(about_z.as_matrix())
     stations["x"], stations["y"] = projection(longitude, latitude)
-    stations = stations.drop(columns=["lat_deg", "lon_deg"])
-    frame = {"frame": "projected", "crs": "EPSG:32632"}
+    return stations
 
-    result = simple(stations=stations, orientation=frame)
+
+IN_UTM = {"frame": "projected", "crs": "EPSG:32632"}
+
+
+def test_stations_in_a_projection_have_a_height_of_that_name(simple, projected):
+    stations = projected.drop(columns=["lat_deg", "lon_deg"])
+
+    result = simple(stations=stations, orientation=IN_UTM)
 
     expected = simple()
     assert_allclose(result[CORRECTED], expected[CORRECTED], rtol=0.0, atol=5e-6)
+
+
+def test_latitudes_beside_map_coordinates_are_compared_with_them(simple, projected):
+    elsewhere = projected.assign(lat_deg=46.0)
+
+    confirmed = simple(stations=projected, orientation=IN_UTM)
+    contradicted = simple(stations=elsewhere, orientation=IN_UTM)
+
+    entry = entry_of(confirmed.attrs, "FRAME-CONFIRMED")
+    assert "in the table of stations" in entry["what"]
+    assert "FRAME-UNVERIFIED" not in codes_of(confirmed.attrs)
+    assert "FRAME-PLACES" in codes_of(contradicted.attrs)
+
+
+@pytest.mark.parametrize("kind", [pd.DataFrame, pa.Table.from_pandas])
+def test_known_positions_may_be_a_table_in_memory(simple, projected, kind):
+    known = projected[["image", "lat_deg", "lon_deg"]].copy()
+    known["height"] = projected["h_msl_m"]
+    stations = projected.drop(columns=["lat_deg", "lon_deg"])
+    with_positions = {**IN_UTM, "known_positions": kind(known)}
+
+    alone = simple(stations=stations, orientation=IN_UTM)
+    result = simple(stations=stations, orientation=with_positions)
+
+    assert "FRAME-UNVERIFIED" in codes_of(alone.attrs)
+    entry = entry_of(result.attrs, "FRAME-CONFIRMED")
+    assert "known_positions of" in entry["what"]
+    assert_frame_equal(result[CORRECTED], alone[CORRECTED])
 
 
 def test_stations_in_degrees_may_have_angles_of_one_local_frame(simple, in_other_frame, baseline):
@@ -456,6 +490,18 @@ def test_tables_that_a_run_refuses(refuse, frame, opk):
     refuse("OBS-EMPTY", table=frame.iloc[:0])
     refuse("ORIENTATION-REPEATED", stations=pd.concat([opk, opk]))
     refuse("ORIENTATION-COLUMN", stations=opk.drop(columns="phi"))
+
+
+def test_known_positions_in_memory_are_refused_as_those_of_a_file(refuse, opk):
+    known = pd.DataFrame(
+        {
+            "image": ["a"],
+            "latitude": [47.0],
+            "longitude": [8.0],
+        }
+    )
+    orientation = {**HEIGHTS, "known_positions": known}
+    refuse("ORIENTATION-COLUMN", orientation=orientation)
 
 
 @pytest.mark.parametrize(

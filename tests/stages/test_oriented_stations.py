@@ -491,7 +491,7 @@ def test_check_shows_the_stated_date_and_the_keys_of_missing_sigmas(block, witho
 
     text = one_line(ended.out)
     assert "time 2026-07-15T09:40:00Z, as the mission file states" in text
-    assert "(stations.orientation.sigma_tilt_deg)" in text
+    assert "(stations.orientation.sigma_tilt_deg" in text
     assert "(stations.orientation.sigma_height_m)" in text
 
 
@@ -638,6 +638,14 @@ def test_tie_points_tell_another_reading_of_nadir_images(true_table, ties_of, re
     changed = evaluated(nadir, READINGS[reading])
     with refused("ORIENTATION-READING", what=reading):
         ties_of(changed)
+
+
+def test_heights_in_feet_are_corrected_in_the_file(true_table, ties_of):
+    nadir = true_table[true_table["camera"] == "nadir"]
+    changed = evaluated(nadir, READINGS["the heights are in feet"])
+    with refused("ORIENTATION-READING") as refusal:
+        ties_of(changed)
+    assert "change the heights in the file to metres (times 0.3048)" in refusal.value.remedy
 
 
 def test_tie_points_tell_the_order_of_the_rotations(true_table, ties_of):

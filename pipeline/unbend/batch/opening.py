@@ -1,10 +1,12 @@
 """The inputs of a mission are opened: paths become the tables and readers that the stages take."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pyarrow as pa
 
 from unbend.batch import remote
@@ -38,6 +40,9 @@ from unbend.tables.soundings import read_sounding
 
 Paths = Mapping[str, Path]
 """Where each input is, by its role."""
+
+KNOWN_POSITIONS = "known positions"
+"""The role of the table of known positions."""
 
 _NOT_IN_FILES = ("log", "observations", "orientation")
 """Roles of inputs that a mission with tables in memory has not, or not in a file."""
@@ -114,16 +119,19 @@ def decode_log(mission: Mission, paths: Paths, sha256: str | None) -> Log | None
     return open_log(paths["log"], sha256, date_ns=mission.mission.date_ns)
 
 
-def paths_beside_tables(mission: Mission, folder: Path) -> tuple[Mission, dict[str, Path]]:
+def paths_beside_tables(
+    mission: Mission, folder: Path, *, in_memory: Set[str] = frozenset()
+) -> tuple[Mission, dict[str, Path]]:
     """Where the files are of a mission whose observations and orientations are in memory.
 
+    ``in_memory`` : roles of further inputs that are tables in memory.
     Returns the mission, with what the files of its cameras say, and the paths by role. Such a
     mission has no log. Refuses (INPUT-MISSING, INPUT-FOLDER) what is not there, and a folder in the
     place of a file; an input in object storage is copied.
     """
     paths = {}
     for named in named_inputs(mission):
-        if named.role in _NOT_IN_FILES:
+        if named.role in _NOT_IN_FILES or named.role in in_memory:
             continue
         place = located(named.name, folder)
         if isinstance(place, Place):
@@ -199,10 +207,15 @@ def stated_orientation(section: OrientationSection) -> Stated:
 def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownImagePositions | None:
     section = mission.stations.orientation
     known_positions = None if section is None else section.known_positions
-    if not isinstance(known_positions, KnownPositions):
+    if not isinstance(known_positions, KnownPositions) or KNOWN_POSITIONS not in paths:
         return None
-    names = known_positions.model_dump(exclude={"path", "sigma_m"})
-    return opened_inputs.KnownImagePositions(*read_known_positions(paths["known positions"], names))
+    read = read_known_positions(paths[KNOWN_POSITIONS], columns_of_positions(known_positions))
+    return opened_inputs.KnownImagePositions(*read)
+
+
+def columns_of_positions(section: KnownPositions) -> dict[str, str]:
+    """Quantity -> name of its column in a table of known positions."""
+    return section.model_dump(exclude={"path", "sigma_m"})
 
 
 def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
@@ -220,6 +233,21 @@ def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
     for path, program in programs.items():
         places += blocks.read_block_places(path, program)
     return places
+
+
+def places_beside(frame: pd.DataFrame, section: OrientationSection) -> Iterator[KnownPlaces]:
+    """Latitudes and longitudes in a table of stations that has its positions in other columns.
+
+    They are compared with these positions. ``frame`` has columns named by quantities.
+    """
+    is_position = "latitude" in section.column_names
+    if is_position or not {"latitude", "longitude"} <= {*frame.columns}:
+        return
+    degrees = frame[["latitude", "longitude"]].apply(pd.to_numeric, errors="coerce")
+    position = np.full((len(frame), 3), np.nan)
+    position[:, :2] = np.radians(degrees.to_numpy(np.float64))
+    image = frame[section.column_names["image"]].to_numpy(object)
+    yield KnownPlaces("latitude and longitude in the table of stations", image, position)
 
 
 def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints | None:

@@ -286,12 +286,14 @@ def frame_notes(
     must_be_tested: bool,
     where: str,
     system: str = "",
+    has_tested_heights: bool = False,
 ) -> Notes:
     """What known positions, by their sources, say of the frame of a block's stations.
 
     A finding (FRAME-PLACES) where they contradict it, else a note (FRAME-CONFIRMED). Of a frame
     that ``must_be_tested`` by something a warning (FRAME-UNVERIFIED), where no source has positions
-    of four images or more; it names the coordinate ``system``, if there is one.
+    of four images or more; it names the coordinate ``system`` of a map, if there is one, and what
+    is not tested. ``has_tested_heights`` : tie points show the heights above a given ground.
     """
     made: list[Message] = []
     is_tested = False
@@ -323,11 +325,14 @@ def frame_notes(
             )
         is_tested = is_tested or bool(contradictions) or np.isfinite(comparison.turn_rad)
     if must_be_tested and not is_tested:
-        made.append(unverified(stations, where, system))
+        untested = messages.untested_in_words(
+            is_map=bool(system), has_tested_heights=has_tested_heights
+        )
+        made.append(unverified(stations, where, system, untested))
     return tuple(made)
 
 
-def unverified(stations: Stations, where: str, system: str) -> Message:
+def unverified(stations: Stations, where: str, system: str, untested: str) -> Message:
     """The warning that nothing confirms a frame, with what can be seen of it."""
     ok = stations.ok
     position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)[ok]
@@ -335,12 +340,14 @@ def unverified(stations: Stations, where: str, system: str) -> Message:
     if len(position):
         block, _, _ = in_one_plane(position, position)
         extent = float(np.linalg.norm(np.ptp(block[:, :2], axis=0)))
+    lowest_m = float(np.min(stations.h_msl_m[ok], initial=np.inf))
+    highest_m = float(np.max(stations.h_msl_m[ok], initial=-np.inf))
     return messages.frame_unverified(
         where=where,
         count=int(ok.sum()),
+        untested=untested,
         extent=extent,
-        low=float(np.min(stations.h_msl_m[ok], initial=np.inf)),
-        high=float(np.max(stations.h_msl_m[ok], initial=-np.inf)),
+        heights=(lowest_m, highest_m),
         latitude_deg=float(np.degrees(stations.mean_latitude_rad)),
         longitude_deg=float(np.degrees(stations.median_longitude_rad)),
         system=system,

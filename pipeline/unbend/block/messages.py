@@ -258,42 +258,70 @@ def frame_confirmed(
 
 FRAME_UNVERIFIED = Code(
     "FRAME-UNVERIFIED",
-    means="Nothing in the files of the mission can confirm the frame of the block.",
+    means=(
+        "No known positions confirm the frame of the block. The entry lists what nothing in this "
+        "mission tests. Tie points with ground heights test its heights and a tilt of some degrees."
+    ),
     effect=(
-        "None. If the model has no scale, is in feet, is tilted, turned, of another datum or "
-        "another zone, no check reports it, and every number of the run is wrong."
+        "None. If one of the listed properties is wrong, no check reports it. A wrong scale, unit "
+        "or tilt makes every correction wrong. A wrong place changes the climatology, the "
+        "distance of the soundings and the undulation. A turn about the vertical changes "
+        "positions and azimuths, but hardly the corrections."
     ),
     remedy=(
-        "Compare place, extent and heights with the flight. Write "
+        "Compare place, extent and heights with the flight. For positions of four images or more "
+        "(GNSS of the exposures, logged by the receiver or the camera), write "
         "stations.orientation.known_positions: {path: positions.csv}, a table of the columns "
         "image, latitude, longitude and height. The section events.images with positions in EXIF, "
-        "the section control, and a database with pose priors confirm the frame too."
+        "the section control, and a database with pose priors confirm the frame too. Without "
+        "any of these, export --format kml after the run: a map shows a wrong zone and a turn."
     ),
 )
 
 
 _WAYS_TO_CONFIRM = (
     "To confirm the frame, write stations.orientation.known_positions: {{path: positions.csv}}, or "
-    "give events.images with positions in EXIF, or control"
+    "give events.images with positions in EXIF, or control. Without these, see the block in a map: "
+    "export --format kml"
 )
 
 SMALL_BLOCK_M = 10.0  # of a smaller one decimals are shown: it is a model without scale
+
+
+def untested_in_words(*, is_map: bool, has_tested_heights: bool) -> str:
+    """What nothing tests of a frame without known positions.
+
+    ``is_map`` : its positions are in a map projection. ``has_tested_heights`` : tie points show the
+    heights above a given ground.
+
+    >>> untested_in_words(is_map=True, has_tested_heights=True)
+    'zone, datum and offsets of the map, a turn about the vertical, a tilt of a degree'
+    """
+    properties = ["zone, datum and offsets of the map" if is_map else "the place"]
+    properties.append("a turn about the vertical")
+    properties.append("a tilt of a degree" if has_tested_heights else "a tilt")
+    if not has_tested_heights:
+        properties += ["the scale", "the unit"]
+    elif not is_map:
+        properties.append("a scale about the height of the ground")
+    return ", ".join(properties)
 
 
 def frame_unverified(
     *,
     where: str,
     count: int,
+    untested: str,
     extent: float,
-    low: float,
-    high: float,
+    heights: tuple[float, float],
     latitude_deg: float,
     longitude_deg: float,
     system: str,
 ) -> Message:
     """Nothing confirms the frame of a block; ``system`` names its coordinate system, if it has one.
 
-    The latitude and longitude are those of the middle of its images.
+    ``untested`` lists what no check would notice. ``heights`` are the lowest and the highest of its
+    images [m above sea level], the latitude and longitude those of their middle.
     """
     place = "at latitude {latitude_deg:.2f}, longitude {longitude_deg:.2f}"
     if system:
@@ -301,22 +329,24 @@ def frame_unverified(
     return warning(
         FRAME_UNVERIFIED,
         (
-            "nothing in this mission can verify the frame of the block: no file has positions of "
-            "four images or more; a model without scale, in feet, tilted, turned or of another "
-            "datum would look the same: the {count} images are within {extent} m, {low:.0f} to "
-            f"{{high:.0f}} m above sea level, {place}; compare this with the flight. "
-            + _WAYS_TO_CONFIRM
+            "no known positions confirm the frame of the block: no file has positions of four "
+            "images or more. Not tested: {untested}. The {count} images are within {extent} m, "
+            f"{{low:.0f}} to {{high:.0f}} m above sea level, {place}; compare this with the "
+            "flight. " + _WAYS_TO_CONFIRM
         ),
         one=(
-            "nothing in this mission can verify the frame of the block of 1 image: no file has "
-            f"positions; the image is {{high:.0f}} m above sea level, {place}; compare this with "
-            "the flight. " + _WAYS_TO_CONFIRM
+            "no known positions confirm the frame of the block of 1 image: no file has positions. "
+            "Not tested: {untested}. The image is {high:.0f} m above sea level, "
+            + place
+            + "; compare this with the flight. "
+            + _WAYS_TO_CONFIRM
         ),
         where=where,
         count=count,
+        untested=untested,
         extent=f"{extent:,.0f}" if extent >= SMALL_BLOCK_M else f"{extent:.2g}",
-        low=low,
-        high=high,
+        low=heights[0],
+        high=heights[1],
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
         system=system,

@@ -44,8 +44,8 @@ def explain_word(
         list[str],
         Argument(
             help=(
-                "a key, a code, an exit code, a status, a column of results, or a technical term "
-                "such as gcp, boresight or lever arm"
+                "a key or a value of one, a code, an exit code, a status, a column of results, or "
+                "a technical term such as gcp, boresight or lever arm"
             ),
             metavar="WORD",
         ),

@@ -108,8 +108,9 @@ class SurfaceSection(Section):
         ge=0,
         le=2000,
         description=(
-            "distance of the station from the flight, 100 km if it is not stated; over 100 km the "
-            "air changes as much as in 3 h, and twice as much over the first kilometres"
+            "distance of the station from the middle of the flight, 100 km if it is not stated; "
+            "over 100 km the air changes as much as in 3 h, and twice as much over the first "
+            "kilometres"
         ),
         examples=[12.0],
         json_schema_extra={"unit": "km"},

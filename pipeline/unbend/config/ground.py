@@ -250,6 +250,11 @@ class GroundSection(Section):
         return "msl" if reduced else self.reference
 
     @property
+    def is_given(self) -> bool:
+        """Whether heights are given, and do not follow from those of the cameras."""
+        return self.height not in _ABOVE_THE_SEA
+
+    @property
     def from_distance(self) -> bool:
         """Whether the heights are those where the slant ranges end."""
         return self.height == "from_distance"

@@ -137,7 +137,9 @@ class OrientationSection(Section):
         "omega_phi_kappa", "phi_omega_kappa", "roll_pitch_yaw", "quaternion", "quaternion_to_frame"
     ] = Field(
         description=(
-            "omega, phi and kappa of the camera, the primary rotation first; roll, pitch and yaw "
+            "omega, phi and kappa of the camera, the primary rotation first: M = Rx(omega) "
+            "Ry(phi) Rz(kappa), or with phi_omega_kappa Ry(phi) Rx(omega) Rz(kappa), turns "
+            "vectors of the photo (x right, y up, z backward) to the frame; roll, pitch and yaw "
             "of the aircraft, with the camera mounted as under mount; or the quaternion q_w to "
             "q_z from the frame to the camera (x right, y down, z forward), or with "
             "quaternion_to_frame the inverse"
@@ -202,10 +204,11 @@ class OrientationSection(Section):
     date: StatedDate | None = Field(
         None,
         description=(
-            "UTC day, as 2026-05-14, or day and time, if no column has the time. It gives the "
-            "season of the climatology, and the age of soundings and surface reports"
+            "UTC day, as 2026-05-14, or day and time in the middle of the flight, as "
+            "2026-05-14T09:50:00Z, if no column has the time. It gives the season of the "
+            "climatology, and the age of soundings and surface reports"
         ),
-        examples=["2026-05-14"],
+        examples=["2026-05-14T09:50:00Z"],
     )
     known_positions: KnownPositions | Literal["log"] | None = Field(
         None,

@@ -2,6 +2,7 @@
 
 import difflib
 import importlib
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -102,8 +103,9 @@ TABLES = {
 def explain(word: str) -> list[str]:
     """Lines that explain a key, a code, an exit code, a status, a column or a word of the field.
 
-    A key is named whole or by its last part; a column is one of the results. Of several keys 8 are
-    explained. Refuses (ConfigError HELP-WORD) a word that is none of these.
+    A key is named whole or by its last part; a column is one of the results. A value of keys, as
+    ``omega_phi_kappa``, is explained by these keys. Of several keys 8 are explained. Refuses
+    (ConfigError HELP-WORD) a word that is none of these.
 
     >>> explain("4")[0]
     'exit code 4'
@@ -124,6 +126,8 @@ def explain(word: str) -> list[str]:
         if lines and more:
             lines.append("")
         lines += more
+    if not lines:
+        lines = _value_lines(small)
     if lines:
         return lines
     raise messages.help_word(word=word, near=", ".join(_near(small)))
@@ -164,10 +168,40 @@ def _word_lines(word: str) -> list[str]:
     return []
 
 
+def _value_lines(word: str) -> list[str]:
+    """What the keys that take a word as their value are; the first 8, and the names of others."""
+    keys = [*mission_keys(), *campaign_keys()]
+    taking = []
+    for key in keys:
+        if word in _values_of(key):
+            taking.append(key)
+    if not taking:
+        return []
+    return [f"{word} (value of keys)", "", *_lines_of_keys(taking, keys)]
+
+
+def _values_of(key: MissionKey) -> list[str]:
+    """The words that a key takes.
+
+    >>> (key,) = [key for key in mission_keys() if key.path == "ground.reference"]
+    >>> _values_of(key)
+    ['msl', 'ellipsoid', 'relative']
+    """
+    values = []
+    for value in re.split(r" \| | or ", key.allowed):
+        if " " not in value:
+            values.append(value)
+    return values
+
+
 def _key_lines(word: str) -> list[str]:
     """What a key takes; of several with this name, the first 8, and the names of the others."""
     keys = [*mission_keys(), *campaign_keys()]
-    called = _keys_called(word, keys)
+    return _lines_of_keys(_keys_called(word, keys), keys)
+
+
+def _lines_of_keys(called: Sequence[MissionKey], keys: Sequence[MissionKey]) -> list[str]:
+    """The first 8 keys of those that are ``called``, of all ``keys``, and the others' names."""
     lines: list[str] = []
     for key in called[:MAX_KEYS]:
         if lines:
@@ -209,10 +243,14 @@ def _names_within(key: MissionKey, keys: Sequence[MissionKey]) -> list[str]:
 
 
 def _near(word: str) -> list[str]:
-    """Codes, keys, statuses, columns and words that are like a word."""
+    """Codes, keys, their values, statuses, columns and words that are like a word."""
     codes_of_meanings = meanings()["codes"]
     near = difflib.get_close_matches(word.upper(), codes_of_meanings, MAX_NEAR_CODES, LIKE_A_CODE)
-    names = {key.path.rpartition(".")[2]: key.path for key in (*mission_keys(), *campaign_keys())}
+    keys = [*mission_keys(), *campaign_keys()]
+    names: dict[str, str] = {}
+    for key in keys:
+        names |= {value: value for value in _values_of(key)}
+    names |= {key.path.rpartition(".")[2]: key.path for key in keys}
     for kind in TITLES:
         names |= {status: status for status in meanings()[kind]}
     for table in TABLES:

@@ -5,8 +5,8 @@ from unbend.errors import Code, ConfigError
 HELP_WORD = Code(
     "HELP-WORD",
     means=(
-        "`unbend help` does not know the word: it is not a key, code, exit code, status, column of "
-        "results or technical term."
+        "`unbend help` does not know the word: it is not a key or a value of one, code, exit "
+        "code, status, column of results or technical term."
     ),
     effect="Nothing is printed.",
     remedy="Use one of the similar words that the refusal names.",
@@ -21,8 +21,8 @@ def help_word(*, word: str, near: str) -> ConfigError:
     return ConfigError(
         HELP_WORD,
         (
-            "{word!r} is not a key of a mission file, a code, an exit code, a status, a column of "
-            "the results or a technical term"
+            "{word!r} is not a key of a mission file or a value of one, a code, an exit code, a "
+            "status, a column of the results or a technical term"
         ),
         remedy=remedy,
         word=word,

@@ -181,6 +181,31 @@ def test_a_mirrored_system_has_one_that_is_not():
     assert "EPSG:5514" in refusal("EPSG:5513", 49.8, 15.5).remedy
 
 
+def height_notes(crs):
+    """The texts of notes on the heights of a system."""
+    _, notes = opened(crs, 47.4, 8.6, needs_angles=False)
+    return [note.what for note in notes if "heights" in note.what]
+
+
+def test_heights_of_a_system_without_a_vertical_part_are_named():
+    (of_zone,) = height_notes("EPSG:25832")
+    assert "(z) count from the ellipsoid of WGS 84" in of_zone
+    assert "write --crs EPSG:25832+5773" in of_zone
+    (of_projection,) = height_notes("+proj=utm +zone=32")
+    assert "(z) count from the ellipsoid of WGS 84" in of_projection
+    assert "--crs" not in of_projection
+
+
+@pytest.mark.parametrize("crs", ["EPSG:25832+5773", "EPSG:4979"])
+def test_heights_that_a_system_names_itself_need_no_note(crs):
+    assert height_notes(crs) == []
+
+
+def test_a_system_of_the_named_heights_has_those_of_the_run():
+    grid, _ = opened("EPSG:25832+5773", 47.4, 8.6)
+    assert grid.height.heights(*radians(47.4, 8.6), 400.0, 447.0) == 400.0
+
+
 def test_the_area_of_use_to_two_degrees_is_a_warning():
     lat = [47.4, 47.4]
     lon = [12.5, 11.9]
@@ -196,7 +221,7 @@ def test_the_area_of_use_to_two_degrees_is_a_warning():
 
 def test_a_datum_without_its_grid_is_a_warning_that_names_it():
     _, notes = opened("EPSG:27700", 52.0, -1.0)
-    (note,) = notes
+    note, _ = notes
     assert note.kind == "warning"
     assert note.code == "EXPORT-GRID"
     assert "needs uk_os_OSTN15" in note.what

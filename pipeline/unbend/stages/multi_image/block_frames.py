@@ -234,12 +234,14 @@ def check_frame(
     frame: CartesianFrame | None,
     exposed: list[Stations],
     has_control: bool,
+    has_tested_heights: bool,
 ) -> Notes:
     """What all known positions of the images say of the frame of their orientations.
 
     ``stations`` are those of the rows of ``table``, whose images are called as in the block;
     ``frame`` is that of its x, y, z. ``exposed`` are the stations of the log. With control points
-    the frame need not be tested here: they show a wrong one.
+    the frame need not be tested here: they show a wrong one. ``has_tested_heights`` : tie points
+    show the heights above a given ground.
     """
     known_places = places_of_block(inputs, table, frame)
     files = inputs.image_times
@@ -260,6 +262,7 @@ def check_frame(
         must_be_tested=needs_test,
         where=section.path,
         system="" if section.crs is None else name_of_system(section.crs),
+        has_tested_heights=has_tested_heights,
     )
 
 

@@ -227,13 +227,14 @@ def first_image_missing(
 ORIENTATION_READING = Code(
     "ORIENTATION-READING",
     means=(
-        "The rays of tie points intersect far better if the angles are read in another way, which "
-        "the entry names."
+        "The rays of tie points intersect far better if the angles or the positions are read in "
+        "another way, which the entry names."
     ),
     effect="The mission is refused.",
     remedy=(
         "State the content of the file: unit, angles or columns under stations.orientation, "
-        "angle_unit or columns under stations.trajectory. Or correct the file."
+        "angle_unit or columns under stations.trajectory. Or correct the file: heights in feet "
+        "are multiplied by 0.3048, because they have no key."
     ),
 )
 

@@ -43,6 +43,7 @@ FEW_WRONG = 0.1  # share of the stations: so many may be wrong alone, below grou
 HIGHEST_ABOVE_GROUND_M = 15_000.0  # no survey is flown higher, in the median
 METRES_OF_A_FOOT = 0.3048
 SECTION = "stations.orientation"
+HEIGHTS_TO_METRES = "the heights in the file to metres (times 0.3048)"  # they have no key of a unit
 
 
 def oriented_stations(
@@ -78,6 +79,9 @@ def oriented_stations(
     frame = None
     if not section.is_level:
         frame = reader.frame(table, Ledger())  # its notes were added with the stations
+    rays = tie_rays(ties, stations.image, stations.camera, mission.interior_orientations)
+    tie_points = np.unique(rays.point).size
+    has_tie_points = tie_points >= FEWEST_TIE_POINTS
     ledger.extend(
         check_frame(
             inputs,
@@ -87,14 +91,13 @@ def oriented_stations(
             frame=frame,
             exposed=exposed,
             has_control=mission.control is not None,
+            has_tested_heights=has_tie_points and has_ground_heights(mission, ties),
         )
     )
     use_suspect = mission.stations.use_suspect
     stations = ledger.take(oriented_images.flag_far_images(stations, use=use_suspect))
     stations = check_height_above_ground(mission, flight, stations, observations, ledger)
-    rays = tie_rays(ties, stations.image, stations.camera, mission.interior_orientations)
-    tie_points = np.unique(rays.point).size
-    if tie_points < FEWEST_TIE_POINTS:
+    if not has_tie_points:
         ledger.add(
             messages.orientation_unchecked(
                 where=str(section.path), count=tie_points, needed=FEWEST_TIE_POINTS
@@ -104,6 +107,15 @@ def oriented_stations(
     readings = other_readings(section, table, reader)
     refuse_other_reading(stations, readings, rays, where=section.path)
     return stations
+
+
+def has_ground_heights(mission: Mission, ties: TiePoints) -> bool:
+    """Whether heights of the ground are given that tie points can be compared with."""
+    ground = mission.ground
+    if not ground.is_given:
+        return False
+    is_for_all = ground.constant_m is not None or ground.model is not None
+    return is_for_all or bool(np.isfinite(ties.ground).any())
 
 
 def other_readings(
@@ -132,7 +144,8 @@ def other_readings(
         key = "columns (latitude, longitude)"
         yield reading("with latitude and longitude exchanged", key, swapped)
         in_feet = replace(table, position=table.position * [1, 1, METRES_OF_A_FOOT])
-        yield reading("if the heights are in feet", UNSTATED, in_feet)
+        stations = partial(reader.stations, in_feet, Ledger())
+        yield StationsReading("if the heights are in feet", HEIGHTS_TO_METRES, stations)
 
 
 class Reader:

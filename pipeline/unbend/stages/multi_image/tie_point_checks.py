@@ -37,6 +37,7 @@ FLAT = 0.002  # of the flying height: a smaller scatter about a model is not jud
 FAR_BETTER = 0.5  # of the scatter: less than this in another order speaks for that order
 PANE_RAD = 1e-4  # sigma of what a window bends, which stays in the rays
 MOST_MEET = 0.5  # share of the points whose rays meet at least where nothing is wrong
+SMALLEST_SHOWN_PX = 0.001  # a tenth of what points in images are measured to, at best
 MOST_WORST_IMAGES = 3  # that a finding names
 
 TO_CHANGE = {
@@ -403,10 +404,23 @@ def describe_misses(intersection: Intersection, miss_rad: Array, pixel_rad: floa
         return f"the rays of {points} of {count} tie points do not intersect"
     pixels = np.sqrt(np.nanmean(miss_rad**2)) / pixel_rad
     return (
-        f"the rays of {points} of {count} tie points miss each other by {pixels:.1f} px (rms). The "
-        "orientations are not adjusted. For this check alone, the refraction of us1976 is removed "
-        "from the rays, that of windows is not"
+        f"the rays of {points} of {count} tie points miss each other by {in_pixels(pixels)} (rms). "
+        "The orientations are not adjusted. For this check alone, the refraction of us1976 is "
+        "removed from the rays, that of windows is not"
     )
+
+
+def in_pixels(pixels: float) -> str:
+    """A distance in the image with two digits: refraction itself is often some 0.01 px.
+
+    >>> in_pixels(0.0314), in_pixels(12.34), in_pixels(0.0)
+    ('0.031 px', '12.3 px', 'less than 0.001 px')
+    """
+    if pixels < SMALLEST_SHOWN_PX:
+        return f"less than {SMALLEST_SHOWN_PX} px"
+    if pixels < 1.0:
+        return f"{pixels:.2g} px"
+    return f"{pixels:.1f} px"
 
 
 def worst_images(stations: Stations, rays: ImageRays, lost: Mask) -> list[str]:

@@ -45,6 +45,8 @@ NORTHERN_END_OF_UTM_DEG = 84.0
 CODES_OF_NORTHERN_ZONES = 32600  # of EPSG, before the number of the zone
 CODES_OF_SOUTHERN_ZONES = 32700
 
+CODE_OF_EGM96_HEIGHTS = 5773  # of EPSG: heights above mean sea level, as runs have them
+
 ELLIPSOID = "ellipsoid"
 SEA_LEVEL = "sea level"
 STATED_GEOID = "stated geoid"
@@ -350,7 +352,7 @@ def height_reference(
     if geoid is not None and (vertical is None or vertical.name in SEA_LEVELS):
         raise messages.grid_geoid_unused(crs=crs)
     if vertical is None:
-        return ellipsoidal_heights(crs, parts), ()
+        return ellipsoidal_heights(crs, parts), _notes_of_ellipsoid(crs, parts)
     axis = vertical.axis_info[0]
     unit = unit_of(axis)
     is_down = axis.direction == "down"
@@ -376,6 +378,17 @@ def height_reference(
     )
     name = f"{vertical.name}, by {geoid.name}"
     return HeightReference(STATED_GEOID, name, unit, is_down, geoid), (note,)
+
+
+def _notes_of_ellipsoid(crs: str, parts: SystemParts) -> Notes:
+    """What heights count from in a system that does not say it itself."""
+    if parts.is_3d:
+        return ()
+    identifier = identifier_of(crs, parts.whole.to_authority(min_confidence=100))
+    with_sea_level = ""
+    if identifier.startswith("EPSG:"):
+        with_sea_level = f"{identifier}+{CODE_OF_EGM96_HEIGHTS}"
+    return (messages.grid_heights(name=parts.whole.name, with_sea_level=with_sea_level),)
 
 
 def ellipsoidal_heights(crs: str, parts: SystemParts) -> HeightReference:

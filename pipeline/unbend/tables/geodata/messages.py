@@ -871,7 +871,8 @@ def grid_other_geoid(*, geoid: str, off_m: float, vertical: str) -> ConfigError:
 EXPORT_GRID = Code(
     "EXPORT-GRID",
     means=(
-        "The relation of the export to its coordinate system: transformation, convergence, scale."
+        "The relation of the export to its coordinate system: transformation, reference of the "
+        "heights, convergence, scale."
     ),
     effect=(
         "A note. A warning if the accuracy of the transformation is not known to be 1 m or better, "
@@ -893,6 +894,26 @@ def grid_reached(*, count: int, crs: str, name: str, operation: str, is_good: bo
         crs=crs,
         name=name,
         operation=operation,
+    )
+
+
+def grid_heights(*, name: str, with_sea_level: str) -> Message:
+    """Heights above the ellipsoid, in a system without a vertical part.
+
+    ``with_sea_level`` is the system with heights above mean sea level; empty if it is not known.
+    """
+    text = (
+        "heights in {name} (z) count from the ellipsoid of WGS 84, because the system has no "
+        "vertical part"
+    )
+    if with_sea_level:
+        text += "; for heights above mean sea level, as in the run, write --crs {with_sea_level}"
+    return note(
+        EXPORT_GRID,
+        text,
+        where="--crs",
+        name=name,
+        with_sea_level=with_sea_level,
     )
 
 

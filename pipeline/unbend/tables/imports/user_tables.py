@@ -97,6 +97,8 @@ def read_orientation(path: Path, stated: Stated, ledger: Ledger) -> OrientationT
     return _orientation(table, path, replace(stated, columns=columns), ledger)
 
 
+KEY_OF_KNOWN_POSITIONS = "stations.orientation.known_positions"
+
 _USUAL_NAMES: Mapping[str, tuple[str, ...]] = {
     "image": ("imageName", "PhotoID", "Label", "filename", "image_name", "name"),
     "latitude": ("lat_deg", "latitude_deg", "lat"),
@@ -260,10 +262,27 @@ def _frame_of_own_export(table: pd.DataFrame, path: Path) -> GeodeticOrigin | No
 
 def read_known_positions(path: Path, names: Mapping[str, str]) -> tuple[Names, Array]:
     """Images, and (m, 3) their latitude, longitude [rad] and height [m], from a CSV."""
-    key = "stations.orientation.known_positions"
-    table = text_table(path, names, codes=_CODES_OF_ORIENTATION, key=key)
+    table = text_table(path, names, codes=_CODES_OF_ORIENTATION, key=KEY_OF_KNOWN_POSITIONS)
+    return _known_positions(table, path, names)
+
+
+def known_positions_of_frame(
+    frame: pd.DataFrame, name: str, names: Mapping[str, str]
+) -> tuple[Names, Array]:
+    """As `read_known_positions` of a table in memory, which messages call ``name``."""
+    table = text_of_frame(
+        frame, names, name, codes=_CODES_OF_ORIENTATION, key=KEY_OF_KNOWN_POSITIONS
+    )
+    return _known_positions(table, Path(name), names)
+
+
+def _known_positions(
+    table: pd.DataFrame, path: Path, names: Mapping[str, str]
+) -> tuple[Names, Array]:
+    """The images and known positions of a table of text."""
     _refuse_repeated(table, names["image"], path)
-    position = _positions(_numbers(table, names, path), path, key, table.index)
+    value = _numbers(table, names, path)
+    position = _positions(value, path, KEY_OF_KNOWN_POSITIONS, table.index)
     return table[names["image"]].to_numpy(object), position
 
 
