@@ -396,7 +396,12 @@ WOBBLE = EARTH + np.random.default_rng(2).normal(0.0, 3.0, EARTH.shape)
     ids=["known positions of one line", "images on one line", "metres of wobble"],
 )
 def test_positions_on_one_line_are_refused(xyz, places):
-    refusal = refused_fit("ORIENTATION-LINE", slice(EACH), xyz, places)
+    refusal = refused_fit(
+        "ORIENTATION-LINE",
+        slice(EACH),
+        xyz,
+        places,
+    )
     assert "with a sigma of 1 m" in refusal.what
 
 

@@ -72,7 +72,15 @@ def test_the_table_and_one_angle_agree_for_another_radius(unbend, tmp_path, obey
 
 def test_profile_at_every_kilometre(obeyed, tmp_path):
     out = tmp_path / "air.csv"
-    obeyed("profile", "--atmosphere", "us1976", "--step", 1000, "--csv", out)
+    obeyed(
+        "profile",
+        "--atmosphere",
+        "us1976",
+        "--step",
+        1000,
+        "--csv",
+        out,
+    )
     heights = pd.read_csv(out)["h_m"]
     assert np.any(np.isclose(heights, 7000.0))
     assert np.allclose(np.diff(heights)[1:-1], 1000.0)

@@ -234,8 +234,20 @@ def test_plane_is_eq_22(h_c, degrees):
 
 def test_plane_first_term_in_steps_goes_to_the_integral():
     exact = at_45(plane_first_term, ARDC, 10_000.0, 300.0)
-    coarse = at_45(plane_first_term, ARDC, 10_000.0, 300.0, step=1000.0)
-    fine = at_45(plane_first_term, ARDC, 10_000.0, 300.0, step=100.0)
+    coarse = at_45(
+        plane_first_term,
+        ARDC,
+        10_000.0,
+        300.0,
+        step=1000.0,
+    )
+    fine = at_45(
+        plane_first_term,
+        ARDC,
+        10_000.0,
+        300.0,
+        step=100.0,
+    )
     assert 1e-9 < abs(coarse / exact - 1.0) < 1e-3
     assert_close(fine, exact, rtol=1e-6)
 

@@ -126,7 +126,11 @@ class Files:
         """A table whose rows are those of `table`, or some of them."""
         time = self.utc()[table.index]
         timed = table.assign(time=time.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ"))
-        timed.to_csv(self.folder / "t.csv", index=False, float_format="%.9f")
+        timed.to_csv(
+            self.folder / "t.csv",
+            index=False,
+            float_format="%.9f",
+        )
         return {
             "path": "t.csv",
             "point": "imu",

@@ -84,7 +84,13 @@ def tie_points(
         pixels = rng.uniform([0, 0], FORMAT, (each, 2))
         down = -enu[k, 2]
         above_m = h[k] - ground_m
-        below = points_below(pixels, centre, down, cameras[k], above_m)
+        below = points_below(
+            pixels,
+            centre,
+            down,
+            cameras[k],
+            above_m,
+        )
         lon, lat, _ = GEODETIC.transform(*below.T)
         points.append(ecef(lat, lon, ground_m))
     ground = np.concatenate(points)

@@ -51,7 +51,12 @@ def distances(baseline, corrected):
 
 def assert_heights(table, corrected):
     """The sphere here is that of the equator."""
-    assert_allclose(table["h_g_m"], corrected["h_g_m"], rtol=0.0, atol=0.01)
+    assert_allclose(
+        table["h_g_m"],
+        corrected["h_g_m"],
+        rtol=0.0,
+        atol=0.01,
+    )
 
 
 def assert_pixels(pixels, expected, tolerance_px):

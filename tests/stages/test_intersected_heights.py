@@ -70,7 +70,11 @@ KEY = ["image", "point"]
 def test_rows_in_any_order_and_in_many_files_give_the_same(intersected, truth, monkeypatch):
     results = results_of(intersected, truth).set_index(KEY)
     # Smaller files and batches than those of millions of rows.
-    monkeypatch.setattr(point_heights, "ROWS_OF_A_FILE", 50)
+    monkeypatch.setattr(
+        point_heights,
+        "ROWS_OF_A_FILE",
+        50,
+    )
     monkeypatch.setattr(point_heights, "BATCH_ROWS", 70)
     mixed = truth.sample(frac=1.0, random_state=3)
     shuffled = results_of(intersected, mixed).set_index(KEY)

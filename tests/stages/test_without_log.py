@@ -88,7 +88,12 @@ def eo_of(files, camera, zone=ZONE):
     """An EO text of the camera's true stations; its head may name another zone."""
     stations = files.stations_of(camera).reset_index()
     path = files.folder / f"{camera}.txt"
-    return write_eo(path, stations, height="h_ellipsoid_m", zone=zone)
+    return write_eo(
+        path,
+        stations,
+        height="h_ellipsoid_m",
+        zone=zone,
+    )
 
 
 def positions_of(files):
