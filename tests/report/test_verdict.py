@@ -146,6 +146,21 @@ def test_the_cabin_is_in_it_from_two_percent_on(baseline, cabin, air, end):
         ) in steps_of(manifest)
 
 
+def test_the_air_in_the_lens_comes_before_the_cabin_and_the_air_outside(baseline):
+    """What it leaves is as large as refraction; the cabin makes 5 % of R uncertain."""
+    manifest = baseline.manifest()
+    manifest["cabin_sigma_share"]["median"] = 0.05
+    manifest["profile"]["basis"] = "climatology"
+    camera = manifest["air_at_cameras"]["nadir"]
+    camera |= {"lens_removed": False, "lens_edge_px": 0.9, "lens_ppm": -103.0}
+    beginnings = [step.split(",")[0] for step in steps_of(manifest)]
+    assert beginnings[:3] == [
+        "State the air of the calibration",
+        "For a better correction",
+        "The sigma of the sensors in the cabin is assumed to be 3 hPa",
+    ]
+
+
 def test_a_typical_lens_is_named_beside_the_cabin(baseline):
     """Better sensors in the cabin would not help: the unknown part of the lens is larger."""
     manifest = baseline.manifest()

@@ -132,7 +132,11 @@ def distance(components_m: Sequence[float]) -> float:
 
 
 def next_steps(manifest: Manifest) -> list[str]:
-    """What to do with the results of a run, one step each."""
+    """What to do with the results of a run, one step each.
+
+    Of errors that remain the largest comes first: the air in a lens, which is systematic, before
+    what the air outside and in cabins leaves uncertain.
+    """
     steps = [step for _, step in concerns_of(manifest)]
     adjust = "Then adjust" if steps else "Adjust"
     rows = manifest.results.observations.rows
@@ -145,10 +149,10 @@ def next_steps(manifest: Manifest) -> list[str]:
             f"Leave out {count(rows - done, 'row')} without new coordinates "
             f"({flagged(manifest)}); the ledger names the causes."
         )
-    steps += [step for _, step in _limits(manifest)]
-    steps += _step_to_known_hour(manifest)
     if left := uncorrected_lenses(manifest.results):
         steps.append(reference_step(left))
+    steps += [step for _, step in _limits(manifest)]
+    steps += _step_to_known_hour(manifest)
     if is_tiny(manifest):
         steps.append("Use the results or the measurements: the difference is not measurable.")
     if applied:

@@ -1046,8 +1046,9 @@ LENS_NOT_REMOVED = Code(
     effect="It stays in the coordinates. Heights are wrong by this part of the flying height.",
     remedy=(
         "State the air of the calibration: cameras.<name>.principal_distance: {reference: "
-        "{pressure_hpa: 1013.25, temperature_c: 20}}. For a calibration in flight, that is the air "
-        "in the lens during its flight."
+        "{pressure_hpa: 1013.25, temperature_c: 20}}. If it is unknown, ask the laboratory, or "
+        "state the pressure of the standard atmosphere at its height, and 20 degC: that is within "
+        "about 10 ppm. For a calibration in flight, it is the air in the lens during its flight."
     ),
 )
 

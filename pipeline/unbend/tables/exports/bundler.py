@@ -4,12 +4,14 @@ Image points count from the image's centre, x to the right, y up, in pixels; cam
 Bundler has a focal length f, k1 and k2, and no principal point. So the points are those of an ideal
 camera, f the principal distance along x, the principal point in the middle and k1 = k2 = 0: that
 holds every distortion. ``calibration.json`` beside it has the ideal camera and the one that the
-images were taken with, the air in its lens included. Where a program counts its pixels from drops
-out: the middle is (w/2, h/2) of COLMAP's. Points that were measured in one image only are left out.
+images were taken with, the air in its lens included; that one is a calibration of Metashape's too,
+in a file for each camera. Where a program counts its pixels from drops out: the middle is (w/2,
+h/2) of COLMAP's. Points that were measured in one image only are left out.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ import numpy as np
 
 from unbend.messages import Ledger
 from unbend.refraction.camera import model_of
+from unbend.refraction.camera.brown_conrady import BrownConrady
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import messages
 from unbend.tables.exports.export_format import ExportFormat, FinishedRun, Values
@@ -34,11 +37,12 @@ from unbend.tables.exports.exported_block import (
     ideal_coordinates,
     refuse_names,
 )
+from unbend.tables.exports.metashape_calibration import name_of_file, write_metashape
 from unbend.units import PPM, Array, Integers
 
 
 def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
-    """bundle.out (v0.3), list.txt with the images in its order, calibration.json."""
+    """bundle.out (v0.3), list.txt with the images in its order, and the calibrations."""
     block = block_of(run, ledger)
     refuse_names(block.image, r"[\s\"]", "Bundler")
     xy = _centred_points(block)
@@ -52,13 +56,41 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
         file.writelines(_lines_of_cameras(block))
         file.writelines(_lines_of_points(block, xy, tied))
     (folder / "list.txt").write_text("\n".join(block.image) + "\n", encoding="utf-8")
+    _write_calibrations(run, block, folder)
+    return written
+
+
+def _write_calibrations(run: FinishedRun, block: ExportedBlock, folder: Path) -> None:
+    """calibration.json, and for each camera that Metashape can hold a calibration for it."""
     calibrations = {}
+    files: list[str] = []
     for number, (name, camera) in enumerate(block.cameras.items()):
-        images = block.image[block.camera == number].tolist()
-        calibrations[name] = _calibration(camera, images, _lens_change(run, name))
+        lens_change = _lens_change(run, name)
+        taken_with = replace(
+            camera,
+            fx_px=camera.fx_px * (1.0 + lens_change),
+            fy_px=camera.fy_px * (1.0 + lens_change),
+        )
+        file = _unused_name(f"taken_with_{name_of_file(name)}", files)
+        is_written = write_metashape(taken_with, folder / file)
+        if is_written:
+            files.append(file)
+        calibrations[name] = {
+            "written": _ideal_camera(camera),
+            "taken_with": _original_camera(taken_with, lens_change),
+            "metashape": file if is_written else None,
+            "images": block.image[block.camera == number].tolist(),
+        }
     text = json.dumps(calibrations, indent=1) + "\n"
     (folder / "calibration.json").write_text(text, encoding="utf-8")
-    return written
+
+
+def _unused_name(name: str, files: Collection[str]) -> str:
+    """The name of an XML that no other camera has: two names may differ in what files cannot."""
+    in_use = {file.lower() for file in files}
+    while f"{name}.xml".lower() in in_use:
+        name += "_"
+    return f"{name}.xml"
 
 
 def report_unwritten(block: ExportedBlock, written: int, ledger: Ledger) -> None:
@@ -125,27 +157,31 @@ def _lens_change(run: FinishedRun, name: str) -> float:
     return float(np.median(changes_px)) / run.cameras[name].camera.fx_px
 
 
-def _calibration(camera: Camera, images: list[str], lens_change: float) -> dict[str, Any]:
-    """The ideal camera that is written, and the one that the images were taken with.
-
-    ``lens_change`` is what the air in the lens adds to the calibrated principal distance, as a part
-    of it; where the run removed it, the images still have it.
-    """
-    taken_with = {key: getattr(camera, key) for key in camera.__dataclass_fields__}
-    for key in ("fx_px", "fy_px"):
-        taken_with[key] *= 1.0 + lens_change
-    taken_with["lens_change_ppm"] = lens_change / PPM
-    taken_with["model"] = model_of(type(camera.distortion)).__name__.rpartition(".")[2]
-    taken_with["distortion"] = camera.distortion._asdict()
-    taken_with["pixel_origin"] = "corner"
-    written = {
+def _ideal_camera(camera: Camera) -> dict[str, float]:
+    """The camera of the points that are written."""
+    return {
         "f_px": camera.fx_px,
         "k1": 0.0,
         "k2": 0.0,
         "cx_px": 0.0,
         "cy_px": 0.0,
     }
-    return {"written": written, "taken_with": taken_with, "images": images}
+
+
+def _original_camera(camera: Camera, lens_change: float) -> dict[str, Any]:
+    """The camera that the images were taken with.
+
+    ``lens_change`` is what the air in the lens added to the calibrated principal distance, as a
+    part of it; where the run removed it, the images still have it.
+    """
+    taken_with = {key: getattr(camera, key) for key in camera.__dataclass_fields__}
+    taken_with["lens_change_ppm"] = lens_change / PPM
+    taken_with["model"] = model_of(type(camera.distortion)).__name__.rpartition(".")[2]
+    taken_with["distortion"] = camera.distortion._asdict()
+    if isinstance(camera.distortion, BrownConrady):
+        taken_with["coefficients"] = "OpenCV's: Metashape exchanges p1 and p2"
+    taken_with["pixel_origin"] = "corner"
+    return taken_with
 
 
 def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
@@ -166,7 +202,7 @@ FORMATS = (
         frame_of_block,
         marked=("bundle.out",),
         use="Metashape has no switch for refraction; adjust there with f fixed and k1, k2 and all "
-        "other coefficients at zero, and give the images their own calibration (calibration.json) "
-        "after that",
+        "other coefficients at zero, and give the images their own calibration "
+        "(taken_with_<camera>.xml) after that",
     ),
 )

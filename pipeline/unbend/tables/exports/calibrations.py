@@ -6,13 +6,11 @@ points. The fit is in `unbend.block.calibration_fit`.
 """
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -37,6 +35,7 @@ from unbend.tables.exports.export_format import (
     frame_of_corrections,
     pixel_mm,
 )
+from unbend.tables.exports.metashape_calibration import name_of_file, write_metashape
 from unbend.tables.exports.opensfm_project import opensfm_camera
 from unbend.units import Array, Integers, Mask
 
@@ -284,7 +283,7 @@ def fit_calibration(
         f"{np.median(height_m):.0f}, ground {np.median(ground_m):.0f} m above sea level)"
     )
     return FittedCalibration(
-        name=f"{_name_of_file(name)}_{np.median(above_m):.4g}m",
+        name=f"{name_of_file(name)}_{np.median(above_m):.4g}m",
         camera_name=name,
         stations=stations,
         base=base,
@@ -296,11 +295,6 @@ def fit_calibration(
         left_by_camera=left_by_camera,
         left_by_change=seen.rms(left_px),
     )
-
-
-def _name_of_file(name: str) -> str:
-    """A name with underscores for what a name of a file may not have everywhere."""
-    return re.sub(r"[^0-9A-Za-z._-]", "_", name)
 
 
 def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
@@ -387,38 +381,10 @@ def write_cameras(calibrations: Sequence[FittedCalibration], path: Path) -> None
         size = f"{fitted.camera.width_px} {fitted.camera.height_px}"
         colmap.append(f"{number} {model} {size} {' '.join(map(repr, parameters))}")
         opensfm[fitted.name] = opensfm_camera(fitted.camera, fitted.camera_name)
-        _write_metashape(fitted.camera, path / f"{fitted.name}.xml")
+        write_metashape(fitted.camera, path / f"{fitted.name}.xml")
         _write_opencv(fitted.camera, parameters, path / f"{fitted.name}.yaml")
     (path / "cameras.txt").write_text("\n".join([*colmap, ""]), encoding="utf-8")
     (path / "camera_models.json").write_text(json.dumps(opensfm, indent=4), encoding="utf-8")
-
-
-def _write_metashape(camera: Camera, path: Path) -> None:
-    """Metashape's XML: x is projected with f + b1, and P1 belongs to x."""
-    coefficients = camera.distortion._asdict()
-    p1 = coefficients.pop("p1", 0.0)
-    p2 = coefficients.pop("p2", 0.0)
-    fx = float(camera.fx_px)
-    fy = float(camera.fy_px)
-    is_fisheye = isinstance(camera.distortion, OpenCVFisheye)
-    values = {
-        "projection": "fisheye" if is_fisheye else "frame",
-        "width": camera.width_px,
-        "height": camera.height_px,
-        "f": fy,
-        "cx": float(camera.cx_px) - 0.5 * camera.width_px,
-        "cy": float(camera.cy_px) - 0.5 * camera.height_px,
-        "b1": fx - fy,
-        **coefficients,
-        "p1": p2,
-        "p2": p1,
-    }
-    root = ElementTree.Element("calibration")
-    for tag, value in values.items():
-        ElementTree.SubElement(root, tag).text = str(value)
-    ElementTree.indent(root)
-    tree = ElementTree.ElementTree(root)
-    tree.write(path, encoding="UTF-8", xml_declaration=True)
 
 
 def _write_opencv(camera: Camera, parameters: Sequence[float], path: Path) -> None:

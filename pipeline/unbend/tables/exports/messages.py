@@ -609,7 +609,11 @@ EXPORT_RESIDUAL = Code(
         "part."
     ),
     effect="Above 10 % it is a loss. Above 50 % it is refused.",
-    remedy="Export the lattice or corrected points.",
+    remedy=(
+        "Export corrected points, which contain no refraction: --format bundler for Metashape, "
+        "colmap or colmap-database for COLMAP, opensfm for OpenSfM and ODM, bingo for BINGO and "
+        "Inpho. A program that applies corrections itself takes --format lattice or lattice-csv."
+    ),
 )
 
 
@@ -657,8 +661,9 @@ def calibration_impossible(
         _LEFT_BY_CALIBRATION + ": no calibration can replace the correction of these images",
         where=where,
         remedy=(
-            "export the lattice or corrected points; if the tilt of a camera changes from image to "
-            "image, no calibration can contain the refraction"
+            "export corrected points (--format bundler, colmap, opensfm or bingo) or the lattice; "
+            "if the tilt of a camera changes from image to image, no calibration can contain the "
+            "refraction"
         ),
         name=name,
         percent=percent,
