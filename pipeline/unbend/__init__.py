@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from unbend.atmosphere import standard_atmosphere
     from unbend.batch.runs import run_mission
     from unbend.config import load_mission
+    from unbend.errors import UnbendError
     from unbend.ingest import open_log
     from unbend.library import correct
     from unbend.refraction import correct_observations, refraction_angle
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 __all__ = [
+    "UnbendError",
     "__version__",
     "correct",
     "correct_observations",
@@ -34,6 +36,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "UnbendError": "unbend.errors",
     "correct": "unbend.library",
     "correct_observations": "unbend.refraction",
     "load_mission": "unbend.config",

@@ -89,6 +89,9 @@ _DEFAULT_GROUND_HEIGHT = {"column": "h_g_m"}
 _DEFAULT_GROUND_REFERENCE = "msl"
 """The key ``ground.reference`` where only the default column, or a number, is given."""
 
+_RECORDS = ("uncertainty", "profile", "cabin_air", "ledger")
+"""Records of the manifest that go with the corrected table."""
+
 _REPLACED_SECTIONS = {"log", "stations", "events", "atmosphere", "output"}
 """Sections of a mission file that tables in memory take the place of."""
 
@@ -133,11 +136,11 @@ def correct(
 
     Returns a table of the kind of ``observations`` with the columns of a run, the same to the last
     bit, its rows in the order of ``observations``; a DataFrame has their index. ``uncertainty``,
-    ``cabin_air`` and ``ledger`` of the manifest are in ``attrs`` of a DataFrame, and as JSON in the
-    metadata of an Arrow table.
+    ``profile`` (the air and its sources), ``cabin_air`` and ``ledger`` of the manifest are in
+    ``attrs`` of a DataFrame, and as JSON in the metadata of an Arrow table.
 
-    Refuses what a run refuses, with the same codes (`UnbendError`). Each loss or finding, which
-    would end a run with code 3, is a UserWarning. Raises TypeError for what is no table, and
+    Refuses what a run refuses, with the same codes (`unbend.UnbendError`). Each loss or finding,
+    which would end a run with code 3, is a UserWarning. Raises TypeError for what is no table, and
     ValueError for a series of profiles that belongs to other stations.
     """
     replaced = sorted(_REPLACED_SECTIONS & sections.keys())
@@ -165,7 +168,7 @@ def correct(
         if entry.kind in LOSSES:
             warnings.warn(f"{entry.code}: {entry.what}", UserWarning, stacklevel=2)
     manifest = results.row()
-    facts = {name: manifest[name] for name in ("uncertainty", "cabin_air", "ledger")}
+    facts = {name: manifest[name] for name in _RECORDS}
     if isinstance(observations, pd.DataFrame):
         corrected: pd.DataFrame = table.to_pandas()
         corrected.index = observations.index

@@ -9,6 +9,7 @@ import yaml
 
 from unbend.config import Mission
 from unbend.refraction.lens_air import TypicalLens
+from unbend.stages.exposure_setup import is_aircraft_by_mount
 
 SCHEDULE = "standard_schedule"
 LENS = {
@@ -100,6 +101,48 @@ def test_a_window_of_the_aircraft_and_how_the_camera_sits_behind_it(load, invali
     content["log"]["channels"] = {"attitude": "ATT[1]", "aircraft_attitude": "ATT[0]"}
     named = load(content).log.channels.named()
     assert named["aircraft_attitude"].name == "ATT[0]"
+
+
+OF_THE_CAMERA = {"angles": "omega_phi_kappa"}
+OF_THE_AIRCRAFT = {"angles": "roll_pitch_yaw"}
+OF_A_GIMBAL = {"format": "dji", "angles": "roll_pitch_yaw"}
+
+
+@pytest.mark.parametrize(
+    ("orientation", "channels", "by_mount"),
+    [
+        (None, {}, False),
+        (OF_THE_CAMERA, {}, True),
+        (OF_THE_CAMERA, {"aircraft_attitude": "ATT"}, False),
+        (OF_THE_AIRCRAFT, {}, False),
+        (OF_A_GIMBAL, {}, True),
+    ],
+    ids=["log", "camera", "camera, and the log's aircraft", "aircraft", "gimbal"],
+)
+def test_where_the_attitude_of_the_aircraft_is_that_of_camera_and_mount(
+    load, orientation, channels, by_mount
+):
+    content = config()
+    content["log"]["channels"] = channels
+    if orientation is not None:
+        common = {"path": "o.csv", "frame": "geographic", "heights": "msl"}
+        content["stations"] = {"orientation": common | orientation}
+    assert is_aircraft_by_mount(load(content), "nadir") is by_mount
+
+
+@pytest.mark.parametrize(
+    ("source", "by_mount"),
+    [
+        ({"path": "eo.txt"}, True),
+        ({"path": "eo.txt", "times_only": True}, False),
+        ({"path": "events.pos"}, False),
+    ],
+    ids=["EO text", "only its times", "positions alone"],
+)
+def test_only_an_eo_text_states_attitudes_of_cameras(load, source, by_mount):
+    content = config()
+    content["events"] = {"positions": {"nadir": source | {"image": "{index}"}}}
+    assert is_aircraft_by_mount(load(content), "nadir") is by_mount
 
 
 def test_a_dome_needs_cabin_air_only_for_the_lens(load, invalid):

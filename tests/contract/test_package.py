@@ -14,11 +14,13 @@ from tests.contract.sources import PROJECT, ROOT, text_of
 from unbend.atmosphere import standard_atmosphere
 from unbend.batch.runs import run_mission
 from unbend.config import load_mission
+from unbend.errors import UnbendError
 from unbend.ingest import open_log
 from unbend.library import correct
 from unbend.refraction import correct_observations, refraction_angle
 
 MAIN_NAMES = {
+    "UnbendError": UnbendError,
     "correct": correct,
     "correct_observations": correct_observations,
     "load_mission": load_mission,

@@ -243,6 +243,59 @@ def test_the_cabin_is_to_be_measured_only_where_it_was_not(baseline):
     assert step() == question
 
 
+CABIN_OF_NUMBERS = yaml.safe_load("""
+pressure: 820
+pressure_hpa: null
+temperature_c: 21
+relative_humidity: null
+sigma_pressure_hpa: null
+sigma_temperature_k: null
+""")
+
+
+@pytest.mark.parametrize(
+    ("stated", "keys"),
+    [
+        ({}, "sigma_pressure_hpa, sigma_temperature_k"),
+        ({"pressure": None, "pressure_hpa": 820}, "sigma_pressure_hpa, sigma_temperature_k"),
+        ({"sigma_pressure_hpa": 2.0}, "sigma_temperature_k"),
+        ({"pressure": "log"}, "sigma_temperature_k"),
+        ({"temperature_c": None}, "sigma_pressure_hpa"),
+        ({"temperature_c": "log"}, "sigma_pressure_hpa"),
+        ({"sigma_pressure_hpa": 2.0, "sigma_temperature_k": 1.0}, None),
+    ],
+)
+def test_numbers_of_a_cabin_without_sigmas_are_named(baseline, stated, keys):
+    manifest = baseline.manifest()
+    manifest["config"]["cameras"]["nadir"]["window"]["cabin"] = CABIN_OF_NUMBERS | stated
+    steps = [step for step in steps_of(manifest) if step.startswith("State the sigmas")]
+    expected = []
+    if keys is not None:
+        where = f"cameras.nadir.window.cabin: {keys}"
+        expected = [
+            f"State the sigmas of the air in the cabin ({where}). No sigma contains its errors."
+        ]
+    assert steps == expected
+
+
+def test_numbers_of_a_cabin_need_no_sigmas_where_the_air_is_less_certain(baseline):
+    manifest = baseline.manifest()
+    manifest["config"]["cameras"]["nadir"]["window"]["cabin"] = CABIN_OF_NUMBERS
+    of_nadir = manifest["correction"]["cameras"]["nadir"]
+    by_window = of_nadir["window_arcsec"]["median"]
+    by_air = of_nadir["refraction_arcsec"]["median"]
+
+    def has_step():
+        return any(step.startswith("State the sigmas") for step in steps_of(manifest))
+
+    manifest["uncertainty"]["scale_sigma"] = 0.9 * by_window / by_air
+    assert has_step()
+    manifest["uncertainty"]["scale_sigma"] = 1.1 * by_window / by_air
+    assert not has_step()
+    manifest["uncertainty"] = None
+    assert not has_step()
+
+
 @pytest.mark.parametrize(("kind", "noun"), [("loss", "1 loss"), ("finding", "1 likely mistake")])
 def test_nothing_that_ended_with_three_is_ready(baseline, kind, noun):
     """Of the losses only those of single rows, which have no coordinates, leave the rest ready."""

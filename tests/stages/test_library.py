@@ -1,5 +1,6 @@
 """`correct` on tables in memory: the rows of a run, and its refusals."""
 
+import json
 import warnings
 
 import numpy as np
@@ -111,6 +112,7 @@ def test_from_the_tables_of_a_run(as_flown, baseline):
         else:
             assert result[name].equals(expected[name]), name
     metadata = result.schema.metadata
+    assert json.loads(metadata[b"unbend.profile"])["standard"] == "us1976"
     assert metadata[b"unbend.refraction"] == b"removed"
     assert metadata[b"unbend.uncertainty"] == b"null"
 
@@ -142,7 +144,7 @@ def test_angles_of_a_csv_are_the_mission_of_that_csv(opk, mission):
     result = correct(rows, pd.read_csv(path), "us1976", cameras, orientation=HEIGHTS)
 
     assert_frame_equal(result, mission.result_rows(), check_exact=True)
-    assert set(result.attrs) == {"uncertainty", "cabin_air", "ledger"}
+    assert set(result.attrs) == {"uncertainty", "profile", "cabin_air", "ledger"}
     assert set(result.attrs["cabin_air"]) == {"nadir", "oblique"}
 
 
@@ -453,6 +455,22 @@ def test_a_profile_with_a_covariance_and_a_series_of_it(simple, opk):
 def test_the_air_of_a_climatology(simple):
     result = simple(profile={"climatology": "auto"})
     assert 0.01 < result.attrs["uncertainty"]["scale_sigma"] < 0.3
+
+
+def test_a_report_of_a_station_that_was_used_is_named(simple):
+    metar = {
+        "metar": "LSZH 120950Z 24006KT 9999 FEW045 17/10 Q1021 NOSIG",
+        "h_msl_m": 432,
+        "distance_km": 9,
+    }
+    result = simple(profile={"surface": [metar]})
+    what = entry_of(result.attrs, "AIR-NO-BAROMETER")["what"]
+    assert what.endswith("taken from surface report METAR LSZH (9 km from the flight)")
+    used = set()
+    for source in result.attrs["profile"]["sources"]:
+        if source["used"]:
+            used.add(source["source"])
+    assert "surface report METAR LSZH" in used
 
 
 def test_what_ends_a_run_with_code_3_is_a_warning(as_flown, frame):

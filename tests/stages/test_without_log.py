@@ -111,6 +111,20 @@ def test_an_eo_text_needs_neither_log_nor_trajectory(without_log, files):
     assert off.attitude_deg < 1e-4
 
 
+def test_an_eo_text_does_not_state_the_attitude_of_the_aircraft(without_log, files):
+    """The direction of a window of the aircraft follows from the mount, which the ledger says."""
+    without_log.config["events"] = positions_of(files)
+    for camera in without_log.config["cameras"].values():
+        camera["window"]["frame"] = "body"
+    manifest = without_log.run_to_manifest()
+    warned = []
+    for entry in manifest["ledger"]:
+        if entry["code"] == "WINDOW-MOUNT":
+            warned.append(entry["where"])
+    assert len(warned) == 2
+    assert "cameras.oblique.window.frame" in warned
+
+
 def test_the_attitude_of_an_eo_text_is_compared_with_the_log(mission, files):
     """By the mounts both cameras' angles are the aircraft's; by another mount they are not."""
     mission.config["events"] = positions_of(files)

@@ -75,7 +75,7 @@ class SurfaceSection(Section):
         ge=-500,
         le=6000,
         description="height of the station above sea level",
-        examples=[426.0],
+        examples=[432.0],
         json_schema_extra={"unit": "m"},
     )
     metar: str | None = Field(

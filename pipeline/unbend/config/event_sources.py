@@ -178,6 +178,11 @@ class PositionEvents(Section):
         return format_of(CAMERA_EVENTS, Path(self.path), self.format)
 
     @property
+    def states_attitude(self) -> bool:
+        """Whether the attitudes of the camera are used that an EO text may state."""
+        return self.format_name == "eo" and not self.times_only
+
+    @property
     def reference_point(self) -> str:
         """The point of the positions in the file: antenna or camera."""
         return self.point or ("antenna" if self.format_name == "rtklib" else "camera")

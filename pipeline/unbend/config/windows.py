@@ -170,7 +170,9 @@ class WindowSection(Section):
         "camera",
         description=(
             "frame of the normal: camera (x right, y down, z forward), or body, the aircraft's (x "
-            "forward, y right, z down), for a camera that moves behind a fixed window"
+            "forward, y right, z down), for a camera that moves behind a fixed window. If the "
+            "angles are those of the camera itself, body needs log.channels.aircraft_attitude; "
+            "without it the direction follows from mount, as for a camera at rest"
         ),
         examples=["camera"],
     )
@@ -281,8 +283,11 @@ class OpeningSection(Section):
     )
     frame: Literal["camera", "body"] = Field(
         "camera",
-        description="frame of the normal: camera (x right, y down, z forward), or body, the "
-        "aircraft's (x forward, y right, z down), for a camera that moves above a fixed opening",
+        description=(
+            "frame of the normal: camera (x right, y down, z forward), or body, the aircraft's (x "
+            "forward, y right, z down), for a camera that moves above a fixed opening (as of "
+            "window)"
+        ),
         examples=["camera"],
     )
     normal: Vector = Field(

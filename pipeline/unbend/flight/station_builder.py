@@ -283,6 +283,21 @@ def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float)
     return replace(stations, **columns)
 
 
+def with_logged_aircraft(
+    stations: Stations, roles: Mapping[str, Channel], max_gap_s: float
+) -> Stations:
+    """Stations of oriented images with the attitude of the aircraft from the channel named for it.
+
+    It is unknown (NaN) where the channel has none at the time of an image. Without such a channel
+    the stations stay as they are.
+    """
+    channel = roles.get("aircraft_attitude")
+    if channel is None:
+        return stations
+    attitude = attitude_at(channel, stations.time_ns, max_gap_s).quaternion
+    return replace(stations, aircraft_quaternion=_from_enu(attitude, np.eye(3)))
+
+
 NO_AIRCRAFT_ATTITUDE = (
     "no attitude of the aircraft (log.channels.aircraft_attitude): the direction of the window "
     "relative to the camera is not known"

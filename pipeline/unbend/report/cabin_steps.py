@@ -63,6 +63,45 @@ def step_to_measured_cabins(cabins: Mapping[str, CabinKeys | str | None]) -> str
     )
 
 
+def step_to_stated_sigmas(manifest: Manifest) -> list[str]:
+    """To state the sigmas of numbers for the air in cabins, if these may err by more than the air.
+
+    So they may where the window moves points by more than the air's sigma. Without a sigma of the
+    air nothing is said.
+    """
+    air = manifest.results.uncertainty
+    if air is None:
+        return []
+    correction = manifest.results.correction
+    missing = []
+    for name, camera in manifest.sections.cameras.items():
+        window = camera.window
+        if window is None or window.shape != "plane" or not isinstance(window.cabin, CabinKeys):
+            continue
+        of_camera = correction.cameras.get(name, correction)
+        by_window = of_camera.window_arcsec.median or 0.0
+        by_air = of_camera.refraction_arcsec.median or 0.0
+        if by_window > air.scale_sigma * by_air:
+            keys = sigmas_not_stated(window.cabin)
+            if keys:
+                missing.append(f"cameras.{name}.window.cabin: {', '.join(keys)}")
+    if not missing:
+        return []
+    places = "; ".join(missing)
+    return [f"State the sigmas of the air in the cabin ({places}). No sigma contains its errors."]
+
+
+def sigmas_not_stated(cabin: CabinKeys) -> list[str]:
+    """The keys for the sigmas of the numbers that are stated without one."""
+    keys = []
+    if cabin.pressure not in ("log", "ambient") and cabin.sigma_pressure_hpa is None:
+        keys.append("sigma_pressure_hpa")
+    is_number = cabin.temperature_c not in ("log", None)
+    if is_number and cabin.sigma_temperature_k is None:
+        keys.append("sigma_temperature_k")
+    return keys
+
+
 def is_pressure_sigma_assumed(cabin: CabinKeys | str | None) -> bool:
     """Whether a sensor measures the pressure in a cabin, and its sigma is not stated."""
     if not isinstance(cabin, CabinKeys):

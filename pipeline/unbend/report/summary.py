@@ -8,7 +8,7 @@ from importlib.resources import files
 from typing import Any
 
 from unbend.messages import MessageRecord
-from unbend.report.cabin_steps import cabin_step
+from unbend.report.cabin_steps import cabin_step, step_to_stated_sigmas
 from unbend.report.concerns import concerns_of
 from unbend.report.lens_sentences import (
     SMALLEST_MEASURABLE_PX,
@@ -153,6 +153,7 @@ def next_steps(manifest: Manifest) -> list[str]:
         steps.append(reference_step(left))
     steps += [step for _, step in _limits(manifest)]
     steps += _step_to_known_hour(manifest)
+    steps += step_to_stated_sigmas(manifest)
     if is_tiny(manifest):
         steps.append("Use the results or the measurements: the difference is not measurable.")
     if applied:

@@ -1,5 +1,6 @@
 """What bends the rays at each exposure: attitude, window, lens, and the air on both sides."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -23,7 +24,7 @@ from unbend.stages.camera_air import air_at_camera, report_lenses
 from unbend.stages.correction_setup import CorrectionSetup, Ground
 from unbend.stages.ground_heights import GivenGround, SlantRangeGround
 from unbend.stages.wavelengths import index_of_rows
-from unbend.units import HECTOPASCAL, Array, Mask
+from unbend.units import DEGREE, HECTOPASCAL, Array, Mask
 
 
 def orientations_of_mission(mission: Mission, stations: Stations) -> Orientations:
@@ -48,7 +49,7 @@ def exposures_of_mission(
     report_lights(mission.wavelengths_m, mission.atmosphere.wavelength_m, ledger)
     report_windows(mission.windows, ledger)
     report_lenses(mission, stations, air, ledger)
-    return exposures_of(
+    exposures = exposures_of(
         stations,
         air,
         mission.windows,
@@ -56,6 +57,51 @@ def exposures_of_mission(
         ledger,
         radius_m=mission.refraction.radius_m,
     )
+    report_windows_by_mount(mission, stations, exposures, ledger)
+    return exposures
+
+
+def is_aircraft_by_mount(mission: Mission, camera: str) -> bool:
+    """Whether the attitude of the aircraft follows from that of a camera, by its mount alone.
+
+    So it does where the angles are those of the camera itself, and no channel of the log is named
+    for the aircraft. Angles of a gimbal (``dji``) are those of its camera.
+    """
+    if mission.log is not None and mission.log.channels.aircraft_attitude is not None:
+        return False
+    orientation = mission.stations.orientation
+    if orientation is not None:
+        return orientation.angles != "roll_pitch_yaw" or orientation.format == "dji"
+    exposures = mission.position_events.get(camera)
+    return exposures is not None and exposures.states_attitude
+
+
+def report_windows_by_mount(
+    mission: Mission, stations: Stations, exposures: Exposures, ledger: Ledger
+) -> None:
+    """Warn of windows in the frame of an aircraft, the attitude of which nothing states.
+
+    Their direction follows from the mount, as if the camera was fixed to the aircraft. The warning
+    has the shift of all points for one degree that the camera is turned in the aircraft.
+    """
+    air_step = exposures.refractivity_cabin - exposures.refractivity_outside
+    for name, window in mission.windows.items():
+        rows = (stations.camera == name) & exposures.usable
+        of_aircraft = window.frame == "body"
+        if not (of_aircraft and is_aircraft_by_mount(mission, name) and bool(rows.any())):
+            continue
+        # A plane window deflects a ray along its normal plus an angle t by (n_cc - n) tan t.
+        deflection_rad = np.abs(air_step[rows]) * math.tan(DEGREE)
+        f_px = mission.interior_orientations[name].fx_px
+        ledger.add(
+            messages.window_by_mount(
+                where=f"cameras.{name}.{window.section}.frame",
+                count=int(rows.sum()),
+                name=name,
+                section=window.section,
+                px=f_px * float(np.median(deflection_rad)),
+            )
+        )
 
 
 def exposures_of(

@@ -1126,6 +1126,43 @@ def window_spherical(*, where: str, name: str) -> Message:
     )
 
 
+WINDOW_MOUNT = Code(
+    "WINDOW-MOUNT",
+    means=(
+        "A window is fixed to the aircraft (frame: body), and the angles of the stations are those "
+        "of the camera. Nothing states the attitude of the aircraft."
+    ),
+    effect=(
+        "The direction of the window relative to the camera follows from mount.<camera>, as if the "
+        "camera was fixed to the aircraft. With the default mount and normal, this is the same as "
+        "frame: camera. If the camera is stabilised, the error is the named shift for each degree."
+    ),
+    remedy=(
+        "If the camera is fixed to the aircraft, check mount.<camera>, or state the normal with "
+        "frame: camera. If it is stabilised, give the flight log, name "
+        "log.channels.aircraft_attitude, and give the times of the images."
+    ),
+)
+
+
+def window_by_mount(*, where: str, count: int, name: str, section: str, px: float) -> Message:
+    """A window in the frame of an aircraft whose attitude follows from the camera's."""
+    return warning(
+        WINDOW_MOUNT,
+        (
+            "the direction of the {section} of {name} follows from mount.{name}, as if the camera "
+            "was fixed to the aircraft: nothing states the attitude of the aircraft. If the camera "
+            "is stabilised, each degree of its tilt in the aircraft shifts all points by {px:.2g} "
+            "px more or less"
+        ),
+        where=where,
+        count=count,
+        name=name,
+        section=section,
+        px=px,
+    )
+
+
 WINDOW_GLASS = Code(
     "WINDOW-GLASS",
     means=(

@@ -23,6 +23,7 @@ from unbend.flight.station_builder import (
     build_stations,
     flag_missing_aircraft_attitude,
     with_air,
+    with_logged_aircraft,
 )
 from unbend.flight.stations import (
     SigmaLimits,
@@ -248,6 +249,7 @@ def stations_of_mission(
     else:
         oriented = oriented_stations(mission, inputs, flight, exposed, ties=ties, ledger=ledger)
         stations = with_air(oriented, flight.roles, mission.max_gap_s)
+        stations = with_logged_aircraft(stations, flight.roles, mission.max_gap_s)
 
     def later(seconds: float) -> Stations:
         """The stations as if all exposures had been some seconds later."""

@@ -662,3 +662,26 @@ def test_the_reason_after_estimates_that_could_not_stand(norman):
     with_it = made.why_not("thermometer thermometer")
     assert "no estimate with it passed its checks" in with_it
     assert "from the climatology of place and season" in made.why_not(bad.name)
+
+
+def level_of_pressure(*sources, **more):
+    """Where the ledger says that the level of the pressure comes from."""
+    made = adjusted(*sources, **more)
+    what = made.entry("AIR-NO-BAROMETER").what
+    return what.removeprefix("no static pressure outside: the level of the pressure is taken from ")
+
+
+def test_the_source_of_the_level_of_the_pressure_is_named(norman):
+    near = replace(station(norman), origin="METAR KOUN", distance_m=9_400.0)
+    without_pressure = replace(near, pressure_pa=np.nan, origin="METAR KTIK")
+    balloon = replace(balloon_of(norman), latitude_rad=norman.latitude, longitude_rad=0.002)
+
+    by_report = level_of_pressure(norman, surface=[near, without_pressure])
+    by_both = level_of_pressure(norman, soundings=[balloon], surface=[near])
+    by_neither = level_of_pressure(norman, surface=[without_pressure])
+
+    report = "surface report METAR KOUN (9 km from the flight)"
+    # At 35.2 degrees of latitude 0.002 rad of longitude are 10 km.
+    assert by_report == report
+    assert by_both == f"{balloon.name} (10 km from the flight) and {report}"
+    assert by_neither.startswith("the climatology ")

@@ -24,7 +24,11 @@ from unbend.atmosphere.estimate import (
     sensors,
 )
 from unbend.atmosphere.estimate.candidates import Candidate, ExternalSources, SourceUse
-from unbend.atmosphere.estimate.external_readings import TimeAndPlace, reason_uninformative
+from unbend.atmosphere.estimate.external_readings import (
+    TimeAndPlace,
+    pressure_sources,
+    reason_uninformative,
+)
 from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.atmosphere.estimate.sensors import SensorSettings
 from unbend.atmosphere.estimate.solver import Estimate, FaultEstimate, estimate
@@ -293,8 +297,14 @@ def _adjusted(
     sources.unused.update(misfits)
     layers = replace(made.profile.layers, source=_sources_of_layers(made))
     profile = replace(made.profile, layers=layers)
-    pressure = candidate.samples.pressure
-    ledger.add(sensor_checks.pressure_level(profile, expected.background, pressure))
+    ledger.add(
+        sensor_checks.pressure_level(
+            profile,
+            expected.background,
+            candidate.samples.pressure,
+            other_sources=pressure_sources(candidate.external.sources, expected.flight),
+        )
+    )
     ledger.extend(_notes(candidate, made))
     ledger.extend(sensor_checks.maybe_in_a_bay(made, candidate.samples))
     estimate_with = partial(expected.estimate_of, candidate)

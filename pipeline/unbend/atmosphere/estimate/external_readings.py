@@ -8,7 +8,7 @@ are in `surface_report`.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,6 +150,30 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
     elif too_far > 1.0:
         away = f"{metres / 1e3:.0f} km"
     return f"it is {away} from the flight: the climatology is as accurate"
+
+
+def pressure_sources(
+    sources: Iterable[Sounding | SurfaceReport], flight: TimeAndPlace
+) -> list[str]:
+    """The names of the sources that give a pressure, with their distances where these are known.
+
+    >>> report = SurfaceReport(432.0, 97_000.0, 290.0, 1200.0, origin="METAR LSZH", distance_m=9e3)
+    >>> pressure_sources([report], TimeAndPlace())
+    ['surface report METAR LSZH (9 km from the flight)']
+    """
+    described = []
+    for source in sources:
+        if isinstance(source, Sounding):
+            metres = flight.metres_from(source.latitude_rad, source.longitude_rad)
+        elif math.isfinite(source.pressure_pa):
+            metres = source.distance_m
+        else:
+            continue
+        name = source.name
+        if math.isfinite(metres):
+            name = f"{name} ({metres / 1e3:.0f} km from the flight)"
+        described.append(name)
+    return described
 
 
 def distance_notes(

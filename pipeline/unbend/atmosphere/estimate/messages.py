@@ -356,7 +356,8 @@ AIR_NO_BAROMETER = Code(
     "AIR-NO-BAROMETER",
     means="No log gives a usable static pressure of the air outside.",
     effect=(
-        "The level of the pressure is taken from a sounding, a weather station or the climatology."
+        "The level of the pressure is taken from soundings and weather stations, or without any "
+        "from the climatology. The entry names them."
     ),
     remedy=(
         "Name a barometer under log.channels.pressure. Without one, a report of a weather station "
@@ -365,14 +366,12 @@ AIR_NO_BAROMETER = Code(
 )
 
 
-def air_no_barometer() -> Message:
+def air_no_barometer(*, source: str) -> Message:
     """The log has no usable static pressure outside."""
     return fallback(
         AIR_NO_BAROMETER,
-        (
-            "no static pressure outside: the level of the pressure is taken from a sounding, a "
-            "station or the climatology"
-        ),
+        "no static pressure outside: the level of the pressure is taken from {source}",
+        source=source,
     )
 
 

@@ -1,7 +1,7 @@
 """Sensor checks: known biases are subtracted, then sensors are checked by physics."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -282,13 +282,17 @@ def pressure_level(
     profile: Profile,
     background: Climatology,
     pressure: SensorSamples | None,
+    *,
+    other_sources: Sequence[str],
 ) -> Message:
     """The residuals of the measured pressures, and whether their level is plausible.
 
-    At sea level it is within 5 sigma of the climatology's; 10 sigma are no weather.
+    At sea level it is within 5 sigma of the climatology's; 10 sigma are no weather. Without
+    measured pressures ``other_sources`` give the level, or the background where there are none.
     """
     if pressure is None or not bool(pressure.accepted.any()):
-        return messages.air_no_barometer()
+        source = " and ".join(other_sources) or f"the climatology {background.profile.name}"
+        return messages.air_no_barometer(source=source)
     h, measured = pressure.used()
     residual = np.abs(measured - profile.pressure(h)) / HECTOPASCAL
     at_sea = float(profile.pressure(0.0))
