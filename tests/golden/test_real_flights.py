@@ -82,7 +82,7 @@ def test_copter_with_a_gap_in_the_log(tmp_path):
     assert text.startswith(f"{corrected} of 300 observations were corrected by ")
     (air,) = remarks(outcome.manifest)
     assert air.startswith(
-        "The air was not measured: a climatology is used instead, the refraction R is known to ± "
+        "The air was not measured: a climatology is used instead, the correction is known to ± "
     )
     assert "Ready for bundle adjustment" not in text
 

@@ -103,7 +103,7 @@ def test_air_that_was_not_measured(mission, baseline, plain_report):
     steps = " ".join(steps_of(manifest))
     assert "For a better correction, give a thermometer" in steps
     assert (
-        "a climatology is used instead, the refraction R is known to ± 4.1 %."
+        "a climatology is used instead, the correction is known to ± 4.1 % of the refraction R."
         in remarks_of(manifest)[0]
     )
 

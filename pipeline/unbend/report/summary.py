@@ -194,7 +194,7 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
     basis = manifest.results.profile.basis
     sigma = "" if air is None else f" ± {100.0 * air.scale_sigma:.2g} %"
     if basis in _UNMEASURED:
-        accuracy = f", the refraction R is known to{sigma}" if sigma else ""
+        accuracy = f", the correction is known to{sigma} of the refraction R" if sigma else ""
         step = step_to_better_air(manifest)
         limits.append((f"The air was not measured: {_UNMEASURED[basis]}{accuracy}.", step))
     cabin = manifest.results.cabin_sigma_share.median
