@@ -370,7 +370,7 @@ def test_images_that_differ_are_flagged_or_refused(tmp_path, unbend, wobble_deg,
     assert "EXPORT-RESIDUAL" in ended.text
     assert out.exists() == (exit_code == 3)
     if exit_code == 6:
-        assert "export the lattice" in ended.text
+        assert "export corrected points (--format bundler" in ended.text
 
 
 def test_each_flying_height_has_its_own(tmp_path):
