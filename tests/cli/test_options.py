@@ -107,3 +107,12 @@ def test_the_help_of_angle_names_every_method(unbend):
     text = one_line(unbend("angle", "--help").out)
     assert ", ".join(METHODS) in text
     assert "[default: spherical]" in text
+
+
+def test_run_with_force_runs_again(mission, plain_report):
+    first = mission.run()
+    second = mission.run()
+    forced = mission.run("--force")
+    assert "nothing to do" not in first.out
+    assert "nothing to do" in second.out
+    assert "nothing to do" not in forced.out

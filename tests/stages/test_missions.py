@@ -352,3 +352,23 @@ def test_calibration_in_flight_warns(mission, obeyed):
     assert "warning CALIBRATION-IN-FLIGHT" in text
     entry = entry_of(mission.manifest(), "CALIBRATION-IN-FLIGHT")
     assert entry["where"] == "cameras.nadir.calibration"
+
+
+def test_pixels_counted_from_the_centre_of_the_first(mission, baseline):
+    table = mission.measured_rows()
+    table[["x_px", "y_px"]] -= 0.5
+    mission.observe_rows(table)
+    mission.config["observations"]["pixel_origin"] = "centre"
+    expected = corrected(baseline) - 0.5
+
+    mission.run_to_manifest()
+
+    assert_allclose(corrected(mission), expected, atol=1e-8)
+    assert_array_equal(mission.results()["x_px"], table["x_px"])
+
+    for camera in mission.config["cameras"].values():
+        camera["pixel_origin"] = "centre"
+        camera["cx_px"] -= 0.5
+        camera["cy_px"] -= 0.5
+    mission.run_to_manifest()
+    assert_allclose(corrected(mission), expected, atol=1e-8)
