@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from unbend.arithmetic import use_same_arithmetic
+
 PAGES = Path(__file__).resolve().parent / "pages"
 SECONDS_OF_A_CELL = 1200
 KERNEL = {
@@ -49,11 +51,11 @@ def executed(notebook: Path) -> dict[str, Any]:
     from nbclient import NotebookClient
 
     fresh = nbformat.read(notebook, as_version=4)
+    use_same_arithmetic()
     programs = str(Path(sys.executable).parent)  # where `!unbend` is found
     env = os.environ | {
         "PATH": os.pathsep.join((programs, os.environ["PATH"])),
         "COLUMNS": "80",
-        "OPENBLAS_NUM_THREADS": "1",
     }
     with tempfile.TemporaryDirectory() as folder:
         client = NotebookClient(

@@ -7,11 +7,11 @@ that says so. To be imported before anything imports numba or matplotlib.
 import os
 import site
 
+from unbend.arithmetic import use_same_arithmetic
+
 CACHE = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
 FOLDER = f"{CACHE}/unbend-tests"
 DEFAULTS = {
-    # As the command line does, before anything imports numpy: results agree to the last bit.
-    "OPENBLAS_NUM_THREADS": "1",
     "NUMBA_CACHE_DIR": f"{FOLDER}/compiled",
     "MPLCONFIGDIR": f"{FOLDER}/matplotlib",
     # Packages that a user installed are found from other homes too.
@@ -19,3 +19,5 @@ DEFAULTS = {
 }
 for name, value in DEFAULTS.items():
     os.environ.setdefault(name, value)
+
+use_same_arithmetic()  # as the command line does: its results agree with these to the last bit

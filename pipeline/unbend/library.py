@@ -115,11 +115,12 @@ def correct(
         row numbers, a wrong sense of the angles is not noticed.
     stations : one row for each image: image, camera (where there are several), position and
         attitude. The position is latitude, longitude [deg] (or lat_deg, lon_deg) and a height,
-        named h_msl_m or h_ellipsoid_m [m]. The attitude is omega, phi, kappa [deg] (omega_deg
-        too) of the camera against east, north and up at the station; or roll, pitch, yaw [deg] of
-        the aircraft; or the quaternion q_w to q_z that turns from east, north, up to the camera
-        (x right, y down, z forward). Or the whole ``stations.parquet`` of a run, which is then
-        taken as it is.
+        named h_msl_m or h_ellipsoid_m [m]; or x, y of a projection and such a height, with
+        ``orientation={"frame": "projected", "crs": "EPSG:32632"}``. The attitude is omega, phi,
+        kappa [deg] (omega_deg too) of the camera against east, north and up at the station, or
+        those of the grid; or roll, pitch, yaw [deg] of the aircraft; or the quaternion q_w to q_z
+        that turns from east, north, up to the camera (x right, y down, z forward). Or the whole
+        ``stations.parquet`` of a run, which is then taken as it is.
     profile : a `Profile`; with a covariance a `TimedProfile`; the `ProfileSeries` or the
         ``profile.parquet`` of a run with its stations; the name of a standard atmosphere; or the
         section ``atmosphere`` of a mission file, from which the air is estimated.
@@ -344,7 +345,7 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
 
     What the caller has ``stated`` goes before what the names say: a stated column of heights is
     used alone, and of several columns that with the stated reference. A stated date is used in the
-    place of times.
+    place of times. Refuses (ConfigError TABLES-FRAME) x and y in no stated frame.
     """
     columns = {name: name for name in _OPTIONAL_COLUMNS if name in filled}
     if "date" in stated:
@@ -353,6 +354,8 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
     for name, angles in _ANGLES_OF_COLUMN.items():
         if name in filled:
             section["angles"] = angles
+    if "frame" not in stated and {"x", "y"} <= {*filled} and "latitude" not in filled:
+        raise messages.frame_of_tables_missing(where="orientation")
     frame = stated.get("frame", "geographic")
     is_local = isinstance(frame, Mapping)  # angles of one place
     has_places = "latitude" in filled and "longitude" in filled

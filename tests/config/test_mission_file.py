@@ -753,13 +753,11 @@ ORIENTATIONS = yaml.safe_load("""
 - ['angles: null', orientation.angles]
 - ['heights: null', 'heights is missing: what the heights count from']
 - ['frame: ecef', frame must be geographic]
-- ['{frame: ecef, angles: quaternion, convergence_deg: null, columns: {}}', remove heights]
-- - '{frame: unknown, angles: quaternion, heights: null, convergence_deg: null, columns: {}}'
+- ['{frame: ecef, angles: quaternion, convergence_deg: 0.0, columns: {}}', remove heights]
+- - '{frame: unknown, angles: quaternion, heights: null, convergence_deg: 0, columns: {}}'
   - 'no vertical, no north and no scale'
 - ['{frame: unknown, angles: quaternion, known_positions: log}', not columns.latitude]
 - ['{angles: quaternion, frame: ecef}', 'convergence_deg is for frame: geographic']
-- - '{frame: projected, crs: "EPSG:32632", convergence_deg: 0.0}'
-  - 'convergence_deg is for frame: geographic'
 - ['frame: projected', projected needs crs]
 - ['date: 14.5.2026', not a date like]
 - ['columns: {time_utc: t}', 'either date, or the columns of time']

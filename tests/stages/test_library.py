@@ -31,6 +31,7 @@ from unbend import correct, standard_atmosphere
 from unbend.atmosphere.series.profile_series import TimedProfile, constant_series
 from unbend.batch.results import read_manifest
 from unbend.batch.runs import plan_of
+from unbend.errors import ConfigError
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # pinholes do not fit the points
 
@@ -112,7 +113,7 @@ def test_from_the_tables_of_a_run(as_flown, baseline):
         else:
             assert result[name].equals(expected[name]), name
     metadata = result.schema.metadata
-    assert json.loads(metadata[b"unbend.profile"])["standard"] == "us1976"
+    assert json.loads(metadata[b"unbend.profile"])["standard"] == "adjusted"
     assert metadata[b"unbend.refraction"] == b"removed"
     assert metadata[b"unbend.uncertainty"] == b"null"
 
@@ -213,6 +214,12 @@ def test_stations_in_a_projection_have_a_height_of_that_name(simple, projected):
 
     expected = simple()
     assert_allclose(result[CORRECTED], expected[CORRECTED], rtol=0.0, atol=5e-6)
+
+
+def test_map_coordinates_need_their_frame(simple, projected):
+    stations = projected.drop(columns=["lat_deg", "lon_deg"])
+    with refused("TABLES-FRAME", ConfigError, remedy="'crs': 'EPSG:...'"):
+        simple(stations=stations)
 
 
 def test_latitudes_beside_map_coordinates_are_compared_with_them(simple, projected):

@@ -20,6 +20,7 @@ from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from unbend.arithmetic import use_same_arithmetic
 from unbend.batch.executors import Bug, Ends, Lost, Outcome, Task, TaskEnd, end_of
 from unbend.batch.other_processes import is_suspended
 from unbend.exit_codes import EXIT_INTERRUPTED
@@ -161,7 +162,7 @@ def stop_all(processes: Iterable[MissionProcess]) -> None:
 def prepare_process(threads: int) -> None:
     """In a new process: set its share of the CPUs, and let it end at SIGTERM or with its parent."""
     os.environ["UNBEND_THREADS"] = str(threads)
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the command line does
+    use_same_arithmetic()  # as the command line does
     # What a library prints must not get among what the command prints.
     os.dup2(2, 1)
     # Ctrl-C goes to all processes of a terminal; the command tells this one to stop.

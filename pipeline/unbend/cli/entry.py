@@ -8,6 +8,7 @@ from io import StringIO, TextIOWrapper
 
 import typer
 
+from unbend.arithmetic import use_same_arithmetic
 from unbend.cli import guide, missions, physics, results
 from unbend.cli.app import app, print_bug, print_error
 from unbend.errors import UnbendError
@@ -64,9 +65,7 @@ def invoke_command(arguments: list[str]) -> int:
 
 def main() -> None:
     """Run the command of this process, and end the process with its exit code."""
-    # With matrices of some hundred rows, threads are slower and make sums depend on their number.
-    # Takes effect if set before numpy is imported.
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    use_same_arithmetic()
     # Colours of numba's messages: it resets them at the end, on terminals without colours too.
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     for stream in (sys.stdout, sys.stderr):

@@ -405,8 +405,7 @@ class OrientationSection(Section):
 
     @model_validator(mode="after")
     def _check_convergence_and_date(self) -> Self:
-        states_convergence = "convergence_deg" in self.model_fields_set
-        if states_convergence and self.frame != "geographic":
+        if self.convergence_deg and self.frame != "geographic":
             raise SectionError("convergence_deg is for frame: geographic")
         if self.has_clock and self.date is not None:
             raise SectionError("give either date, or the columns of time")

@@ -236,7 +236,10 @@ def no_table(*, path: str, name: str, instance: str | None) -> LogError:
         LOG_NO_TABLE,
         "{selected} has no rows that can be written as a table",
         where=path,
-        remedy="choose another type or instance that `unbend inspect` lists",
+        remedy=(
+            "choose another type or instance that `unbend inspect` lists; leave out --instance for "
+            "a type that it lists without one"
+        ),
         selected=selected,
     )
 

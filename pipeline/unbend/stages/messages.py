@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from unbend.errors import Code, Counted, InputError, MissionError
+from unbend.errors import Code, ConfigError, Counted, InputError, MissionError
 from unbend.flight.messages import CHANNEL_MISSING
 from unbend.messages import Kind, Message, fallback, finding, loss, message, note, warning
 from unbend.tables.messages import MODEL_TIME
@@ -344,6 +344,30 @@ TABLES_DEFAULT = Code(
         "angles, heights and columns. Leave out columns that are not meant."
     ),
 )
+
+
+TABLES_FRAME = Code(
+    "TABLES-FRAME",
+    means=(
+        "In Python, the table of stations has x and y, and no latitude and longitude. Nothing "
+        "states the frame of x and y."
+    ),
+    effect="The call is refused.",
+    remedy='Add orientation={"frame": "projected", "crs": "EPSG:..."}, or the other frame.',
+)
+
+
+def frame_of_tables_missing(*, where: str) -> ConfigError:
+    """A table of stations has x and y, and their frame is not stated."""
+    return ConfigError(
+        TABLES_FRAME,
+        "the stations have x and y, but their frame is not stated",
+        where=where,
+        remedy=(
+            "add orientation={{'frame': 'projected', 'crs': 'EPSG:...'}}, or another frame; or "
+            "give latitude and longitude [deg]"
+        ),
+    )
 
 
 def ground_by_default(*, where: str, height: str, reference: str) -> Message:

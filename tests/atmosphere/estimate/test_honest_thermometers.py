@@ -105,7 +105,8 @@ def test_low_climbs_with_a_thermometer_are_honest(sunny, reached, most):
         for of_way in departures.T:
             assert 0.65 <= rms(of_way) <= most
         return
-    # Of a few errors: the RMS that all reach, within chi-square's share of all but 1e-4.
-    count = departures.size
+    # Of a few flights: the RMS that all reach, within chi-square's share of all but 1e-4. The ways
+    # of one flight err together, since they have one air.
+    count = len(departures)
     low, high = reached * np.sqrt(chi2.ppf([5e-5, 1.0 - 5e-5], count) / count)
     assert low <= rms(departures) <= high

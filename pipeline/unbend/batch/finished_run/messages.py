@@ -50,14 +50,17 @@ EXPORT_USE = Code(
 )
 
 
-def config_not_understood(*, path: str, mistakes: int) -> MissionError:
-    """The mission in a manifest is of another version."""
+def config_not_understood(*, path: str, mistakes: int, first: str) -> MissionError:
+    """The mission in a manifest is of another version; the ``first`` key that is not understood."""
     return MissionError(
         EXPORT_CONFIG,
-        "the mission file in the manifest has {count} keys that this version does not understand",
-        one="the mission file in the manifest has a key that this version does not understand",
+        "the mission file in the manifest has {count} keys that this version does not understand, "
+        "the first is {first}",
+        one="the mission file in the manifest has a key that this version does not understand: "
+        "{first}",
         where=path,
         count=mistakes,
+        first=first,
         remedy="run the mission again with this version",
     )
 

@@ -30,9 +30,12 @@ def mission_of(manifest: Manifest, path: Path) -> Mission:
         config = json.dumps(manifest.run.config)
         return Mission.model_validate_json(config)
     except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
         raise messages.config_not_understood(
             path=str(path / MANIFEST),
             mistakes=error.error_count(),
+            first=f"{key}: {first['msg']}",
         ) from None
 
 
