@@ -187,7 +187,8 @@ class OrientationSection(Section):
         le=30,
         description=(
             "convergence of the grid, if kappa or yaw is relative to grid north: true minus grid "
-            "azimuth, positive if grid north is east of true north"
+            "azimuth, positive if grid north is east of true north. For frame: geographic; with "
+            "projected PROJ computes it"
         ),
         examples=[1.2],
         json_schema_extra={"unit": "deg"},

@@ -186,8 +186,8 @@ AIR_HUMIDITY_EXPECTED = Code(
     "AIR-HUMIDITY-EXPECTED",
     means="No humidity was measured outside.",
     effect=(
-        "The humidity of the climatology is used. Its effect on R is small, and the sigmas include "
-        "it."
+        "The humidity begins at that of the climatology, and other readings adjust it. Its effect "
+        "on R is small, and the sigmas include it."
     ),
     remedy="Name a hygrometer under log.channels.humidity, or add a sounding.",
 )
@@ -197,7 +197,8 @@ def air_humidity_expected() -> Message:
     """No humidity was measured outside."""
     return fallback(
         AIR_HUMIDITY_EXPECTED,
-        "no humidity measured outside: the humidity of the climatology is used",
+        "no humidity measured outside: the humidity is that of the climatology, adjusted by the other "
+        "readings",
     )
 
 
