@@ -279,8 +279,27 @@ def test_other_axes_of_pixels(axes):
         return mission.rays(cameras, {**read, "camera1": camera1})
 
     wrong = replace(mission, rays=rays)
-    finding = first_finding(wrong, "TIES-PIXELS", "observations.columns")
-    assert "camera1" in finding.what
+    key = "observations" if axes == "upward" else "observations.columns"
+    finding = first_finding(wrong, "TIES-PIXELS", key)
+    assert "of camera1" in finding.what
+    assert finding.label == axes
+
+
+@pytest.mark.parametrize("axes", drawn("exchanged", "upward"))
+def test_other_axes_of_the_pixels_of_all_cameras_are_one_finding(axes):
+    mission = make(25)
+
+    def rays(cameras, read):
+        wrong_axes = {name: "" if read.get(name) == axes else axes for name in BOTH}
+        return mission.rays(cameras, wrong_axes)
+
+    finding = only_finding(
+        replace(mission, rays=rays),
+        "TIES-PIXELS",
+        "observations" if axes == "upward" else "observations.columns",
+    )
+    assert finding.cameras == BOTH
+    assert "of camera0 and camera1" in finding.what
 
 
 def test_exchanged_cameras():

@@ -56,7 +56,7 @@ def error_in_words(
         return time_in_words(mission.shifted, hypothesis, intersection, sigma)
     if code == "TIES-PIXELS":
         axes = "x and y are exchanged" if hypothesis.label == "exchanged" else "y counts upward"
-        return f"in the pixels of {hypothesis.camera} {axes}"
+        return f"in the pixels of {' and '.join(hypothesis.cameras)} {axes}"
     return f"the images of {hypothesis.label} are exchanged"
 
 

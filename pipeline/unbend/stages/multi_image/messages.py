@@ -835,7 +835,11 @@ TIES_PIXELS = Code(
     "TIES-PIXELS",
     means="Tie points show that x and y are exchanged, or that y is measured upward.",
     effect="The corrections have a wrong direction. The run ends with exit code 3.",
-    remedy="Check observations.columns.",
+    remedy=(
+        "If x and y are exchanged, exchange them under observations.columns. If y is measured "
+        "upward, replace y by the height of the image less y in the table of observations: no "
+        "column turns an axis."
+    ),
 )
 
 TIES_CAMERAS = Code(
