@@ -266,6 +266,22 @@ def test_heights_from_another_zero_are_found_and_named():
     assert re.search(r"4[67]\.", finding.what)
     assert "too low" in finding.what
     assert "as if this" in finding.what
+    assert not finding.beyond_datums
+
+
+def test_heights_beyond_what_a_datum_explains_are_said_to_be_so():
+    mission = make(24)
+    right = mission.orientations
+    up = right.enu_from_ecef[:, 2]
+    wrong = replace(
+        mission,
+        orientations=replace(right, centre_m=right.centre_m - 400.0 * up),
+        shifted=None,
+        other_heights_m={"this": 46.8},
+    )
+    finding = first_finding(wrong, "TIES-HEIGHT", "ground")
+    assert finding.what.endswith("by more than a datum explains")
+    assert finding.beyond_datums
 
 
 @pytest.mark.parametrize("axes", drawn("exchanged", "upward"))
@@ -515,7 +531,9 @@ def test_a_camera_may_be_called_like_a_mount():
     mission = replace(make(3), mounts={})
     mistake = SimpleNamespace(
         code="TIES-FOCAL",
+        label="",
         camera="wing-mount",
+        cameras=("wing-mount",),
         subject=("", ""),
     )
     reading = SimpleNamespace(intersected=lambda _: SimpleNamespace(sigma_factor=1.0))

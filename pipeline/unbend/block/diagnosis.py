@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from unbend.block.alignment import LOG_RATIO_NEEDED
-from unbend.block.errors_in_words import error_in_words
+from unbend.block.errors_in_words import BEYOND_DATUMS, error_in_words
 from unbend.block.given_heights import scattered_heights, with_usable_heights
 from unbend.block.intersection import Intersection
 from unbend.block.possible_mistakes import (
@@ -70,6 +70,7 @@ class Finding:
     also: tuple[str, ...] = ()  # the same of others that are nearly as likely
     cameras: tuple[str, ...] = ()  # that are concerned
     label: str = ""  # which mistake of its kind
+    beyond_datums: bool = False  # heights differ by more than another datum or feet explain
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +159,7 @@ def finding_of(mission: StatedMission, explanations: list[Explanation]) -> Findi
         also=tuple(also.values()),
         cameras=hypothesis.cameras,
         label=hypothesis.label,
+        beyond_datums=best.text.endswith(BEYOND_DATUMS),
     )
 
 

@@ -244,6 +244,8 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
         remaining = findings[-1].sigma_factor
         for finding in findings:
             change = what_to_change(evidence.mission, finding)
+            if is_of_another_flight(finding, remaining):
+                finding, change = of_another_flight(evidence.mission, finding, change)
             count = intersection.point.size
             ledger.add(message_of_finding(finding, remaining, count=count, change=change))
     nearest = "; ".join(f"{described(finding)} ({finding.key})" for finding in findings)
@@ -289,6 +291,23 @@ def what_to_change(mission: Mission, finding: Finding) -> str:
         has_pixels = mission.observations.unit == "px"
         return f"{axes} in the table of observations" if has_pixels else axes
     return TO_CHANGE.get(finding.code, "{}").format(finding.key)
+
+
+def is_of_another_flight(finding: Finding, sigma_factor: float) -> bool:
+    """Whether heights differ by more than datums do, and rays then still do not meet well."""
+    return finding.beyond_datums and sigma_factor > PART_FACTOR
+
+
+def of_another_flight(mission: Mission, finding: Finding, change: str) -> tuple[Finding, str]:
+    """A finding and what to ``change``, with stations of another flight as the first cause."""
+    key = "log.path"
+    if mission.stations.trajectory is not None:
+        key = "stations.trajectory.path"
+    if mission.stations.orientation is not None:
+        key = "stations.orientation.path"
+    paths = f"{key} or observations.path"
+    what = f"{paths} may be of another flight: {finding.what}"
+    return replace(finding, what=what), f"{paths}; if both are of this flight, {change}"
 
 
 def flipped_axes(mission: Mission, cameras: Sequence[str]) -> list[str]:
