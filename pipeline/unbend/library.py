@@ -141,14 +141,17 @@ def correct(
     ``attrs`` of a DataFrame, and as JSON in the metadata of an Arrow table.
 
     Refuses what a run refuses, with the same codes (`unbend.UnbendError`). Each loss or finding,
-    which would end a run with code 3, is a UserWarning. Raises TypeError for what is no table, and
-    ValueError for a series of profiles that belongs to other stations.
+    which would end a run with code 3, is a UserWarning. Raises TypeError for what is no table,
+    for exchanged tables and for a camera without a name, and ValueError for a series of profiles
+    that belongs to other stations.
     """
     replaced = sorted(_REPLACED_SECTIONS & sections.keys())
     if replaced:
         raise TypeError(f"{', '.join(replaced)}: tables in memory replace these sections")
     measured = _arrow_table(observations, "observations")
     placed: pa.Table = _arrow_table(stations, "stations")
+    _check_order(measured, placed)
+    _check_camera_names(cameras)
     frame = placed.to_pandas().rename(columns=_QUANTITY_OF_COLUMN)
     given = {"cameras": cameras, "atmosphere": _atmosphere(profile), **sections}
     stated, known = apart_from_known_positions(orientation or {})
@@ -218,6 +221,27 @@ def _arrow_table(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
         kind = type(table).__name__
         raise TypeError(f"{name} must be a pandas DataFrame or a pyarrow Table, not a {kind}")
     return table
+
+
+def _check_order(measured: pa.Table, placed: pa.Table) -> None:
+    """Refuse (TypeError) a table of stations that is given first, and observations second."""
+    of_pixels = {"x_px", "y_px"}
+    has_pixels = of_pixels <= {*placed.column_names}
+    if has_pixels and of_pixels.isdisjoint(measured.column_names):
+        raise TypeError(
+            "stations has the columns x_px and y_px, and observations does not: the two tables "
+            "seem exchanged; the order is correct(observations, stations, ...)"
+        )
+
+
+def _check_camera_names(cameras: object) -> None:
+    """Refuse (TypeError) the keys of one camera where sections by name are expected."""
+    if not isinstance(cameras, Mapping):
+        return
+    if not all(isinstance(section, Mapping) for section in cameras.values()):
+        raise TypeError(
+            'cameras must be sections by the name of a camera: give cameras={"nadir": camera}'
+        )
 
 
 def apart_from_known_positions(

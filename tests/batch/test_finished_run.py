@@ -289,6 +289,7 @@ def test_stations_come_back():
 REQUESTS = {
     "format misspelt": ("latice o.parquet", "EXPORT-FORMAT", "perhaps lattice"),
     "format unknown": ("photomod o.csv", "EXPORT-FORMAT", "one of lattice, lattice-csv, radial"),
+    "format of a program": ("Metashape o.csv", "EXPORT-FORMAT", "for Metashape: bundler"),
     "format like two": ("colmap-text o.csv", "EXPORT-FORMAT", "perhaps colmap or colmap-database"),
     "ending": ("lattice grid.csv", "EXPORT-ENDING", "lattice-csv"),
     "a folder is there": ("lattice folder.parquet", "EXPORT-EXISTS", "folder.parquet"),

@@ -266,6 +266,22 @@ def test_heights_from_another_zero_are_found_and_named():
     assert re.search(r"4[67]\.", finding.what)
     assert "too low" in finding.what
     assert "as if this" in finding.what
+    assert not finding.beyond_datums
+
+
+def test_heights_beyond_what_a_datum_explains_are_said_to_be_so():
+    mission = make(24)
+    right = mission.orientations
+    up = right.enu_from_ecef[:, 2]
+    wrong = replace(
+        mission,
+        orientations=replace(right, centre_m=right.centre_m - 400.0 * up),
+        shifted=None,
+        other_heights_m={"this": 46.8},
+    )
+    finding = first_finding(wrong, "TIES-HEIGHT", "ground")
+    assert finding.what.endswith("by more than a datum explains")
+    assert finding.beyond_datums
 
 
 @pytest.mark.parametrize("axes", drawn("exchanged", "upward"))
@@ -279,8 +295,27 @@ def test_other_axes_of_pixels(axes):
         return mission.rays(cameras, {**read, "camera1": camera1})
 
     wrong = replace(mission, rays=rays)
-    finding = first_finding(wrong, "TIES-PIXELS", "observations.columns")
-    assert "camera1" in finding.what
+    key = "observations" if axes == "upward" else "observations.columns"
+    finding = first_finding(wrong, "TIES-PIXELS", key)
+    assert "of camera1" in finding.what
+    assert finding.label == axes
+
+
+@pytest.mark.parametrize("axes", drawn("exchanged", "upward"))
+def test_other_axes_of_the_pixels_of_all_cameras_are_one_finding(axes):
+    mission = make(25)
+
+    def rays(cameras, read):
+        wrong_axes = {name: "" if read.get(name) == axes else axes for name in BOTH}
+        return mission.rays(cameras, wrong_axes)
+
+    finding = only_finding(
+        replace(mission, rays=rays),
+        "TIES-PIXELS",
+        "observations" if axes == "upward" else "observations.columns",
+    )
+    assert finding.cameras == BOTH
+    assert "of camera0 and camera1" in finding.what
 
 
 def test_exchanged_cameras():
@@ -496,7 +531,9 @@ def test_a_camera_may_be_called_like_a_mount():
     mission = replace(make(3), mounts={})
     mistake = SimpleNamespace(
         code="TIES-FOCAL",
+        label="",
         camera="wing-mount",
+        cameras=("wing-mount",),
         subject=("", ""),
     )
     reading = SimpleNamespace(intersected=lambda _: SimpleNamespace(sigma_factor=1.0))

@@ -12,6 +12,7 @@ from tests.helpers import refused
 from tests.refraction.comparing import assert_near
 from tests.refraction.images import RADIUS
 from tests.refraction.rays import AIR, TABLE, bent, touching_angle
+from unbend.atmosphere import standard_atmosphere
 from unbend.errors import PhysicsError
 from unbend.refraction import RayTable, bend, refraction_angle
 from unbend.refraction.status_codes import (
@@ -137,9 +138,33 @@ def test_scalars_are_refused_with_a_reason(code, ray):
         refraction_angle(AIR, *ray)
 
 
-def test_degrees_for_radians_are_refused_with_the_unit():
-    with refused("RAY-BAD-MEASUREMENT", PhysicsError, remedy="radians"):
-        refraction_angle(AIR, 3000.0, 0.0, 45.0)
+@pytest.mark.parametrize(
+    ("zeta", "where", "count"),
+    [
+        (45.0, "zeta_c", 1),
+        (-0.1, "zeta_c", 1),
+        ([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5], "zeta_c[6]", 1),
+        (np.linspace(0.0, 75.0, 16), "zeta_c[1]", 15),
+        ([[0.0, nan], [inf, 15.0]], "zeta_c[1, 1]", 1),
+    ],
+)
+def test_degrees_for_radians_are_refused_with_the_unit(zeta, where, count):
+    with refused("RAY-BAD-MEASUREMENT", PhysicsError, remedy="numpy.radians") as refusal:
+        refraction_angle(AIR, 3000.0, 0.0, zeta)
+    assert refusal.value.where == where
+    assert refusal.value.count == count
+
+
+def test_angles_that_are_no_numbers_stay_so_in_arrays():
+    r_c = refraction_angle(AIR, 3000.0, 0.0, [0.0, nan, pi])
+    assert np.isnan(r_c).tolist() == [False, True, True]
+
+
+def test_the_name_of_a_standard_atmosphere_is_that_atmosphere():
+    by_name = refraction_angle("us1976", 3000.0, 0.0, 0.5)
+    assert by_name == refraction_angle(standard_atmosphere("us1976"), 3000.0, 0.0, 0.5)
+    with refused("ATMOSPHERE-NAME", PhysicsError):
+        refraction_angle("us1977", 3000.0, 0.0, 0.5)
 
 
 def test_an_unknown_method_is_refused():

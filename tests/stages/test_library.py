@@ -570,6 +570,13 @@ def test_arguments_of_a_wrong_type(simple, profile):
         simple(atmosphere={"standard": "icao"})
     with pytest.raises(TypeError, match="cannot be a DataFrame"):
         simple(profile=profile.to_pandas())
+    with pytest.raises(TypeError, match="by the name of a camera"):
+        simple(cameras=PINHOLES["nadir"])
+
+
+def test_exchanged_tables_are_said_to_be_so(simple, frame, opk):
+    with pytest.raises(TypeError, match="seem exchanged"):
+        simple(opk, stations=frame)
 
 
 def test_profiles_of_other_stations(simple, profile):

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from unbend.block.alignment import LOG_RATIO_NEEDED
-from unbend.block.errors_in_words import error_in_words
+from unbend.block.errors_in_words import BEYOND_DATUMS, error_in_words
 from unbend.block.given_heights import scattered_heights, with_usable_heights
 from unbend.block.intersection import Intersection
 from unbend.block.possible_mistakes import (
@@ -68,6 +68,9 @@ class Finding:
     log_ratio: float  # natural logarithm of its likelihood over that of what is stated
     sigma_factor: float  # residuals of the rays alone over what their sigmas say, then
     also: tuple[str, ...] = ()  # the same of others that are nearly as likely
+    cameras: tuple[str, ...] = ()  # that are concerned
+    label: str = ""  # which mistake of its kind
+    beyond_datums: bool = False  # heights differ by more than another datum or feet explain
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +117,10 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
             continue
         finding = finding_of(mission, explanations)
         # What is estimated once more is said once.
-        place = (finding.code, finding.key)
-        findings = [earlier for earlier in findings if (earlier.code, earlier.key) != place]
+        place = (finding.code, finding.key, finding.cameras)
+        findings = [
+            earlier for earlier in findings if (earlier.code, earlier.key, earlier.cameras) != place
+        ]
         findings.append(finding)
 
     sigma_factor = findings[-1].sigma_factor if findings else by_rays_alone.sigma_factor
@@ -143,6 +148,8 @@ def finding_of(mission: StatedMission, explanations: list[Explanation]) -> Findi
     key = KEYS[hypothesis.code].format(hypothesis.camera).rstrip(".")
     if hypothesis.code == "TIES-MOUNT" and not mission.mounts:  # orientations are stated
         key = "stations.orientation"
+    if hypothesis.code == "TIES-PIXELS" and hypothesis.label == "upward":  # of no column
+        key = "observations"
     return Finding(
         code=hypothesis.code,
         key=key,
@@ -150,6 +157,9 @@ def finding_of(mission: StatedMission, explanations: list[Explanation]) -> Findi
         log_ratio=best.gain,
         sigma_factor=best.reading.intersected(mission.without_heights).sigma_factor,
         also=tuple(also.values()),
+        cameras=hypothesis.cameras,
+        label=hypothesis.label,
+        beyond_datums=best.text.endswith(BEYOND_DATUMS),
     )
 
 

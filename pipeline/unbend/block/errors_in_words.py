@@ -36,6 +36,8 @@ CERTAIN_FOCAL = 0.005
 
 SLOWEST_M_S = 0.1  # of stations: hovering gives a time no sigma without end
 SAME_HEIGHT = 0.05  # of a height: a named one that is nearer is the likely one
+LARGEST_DATUM_M = 120.0  # that heights differ by from datum to datum: undulations reach 107 m
+BEYOND_DATUMS = ", by more than a datum explains"
 LEAP_SECONDS = (17.0, 19.0)  # between which a delay is that of GPS time against UTC
 
 
@@ -56,7 +58,7 @@ def error_in_words(
         return time_in_words(mission.shifted, hypothesis, intersection, sigma)
     if code == "TIES-PIXELS":
         axes = "x and y are exchanged" if hypothesis.label == "exchanged" else "y counts upward"
-        return f"in the pixels of {hypothesis.camera} {axes}"
+        return f"in the pixels of {' and '.join(hypothesis.cameras)} {axes}"
     return f"the images of {hypothesis.label} are exchanged"
 
 
@@ -164,7 +166,9 @@ def height_in_words(
     apart_m = {name: abs(named_m - up_m) for name, named_m in mission.other_heights_m.items()}
     nearest = min(apart_m, key=lambda name: apart_m[name], default="")
     if nearest and apart_m[nearest] < max(SAME_HEIGHT * abs(up_m), explained_m):
-        text += f", as if {nearest}"
+        return text + f", as if {nearest}"
+    if abs(up_m) - explained_m > LARGEST_DATUM_M:
+        text += BEYOND_DATUMS
     return text
 
 

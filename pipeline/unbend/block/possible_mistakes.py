@@ -406,8 +406,9 @@ def large_mistakes(mission: StatedMission, reading: Reading) -> Iterator[Possibl
     for name in reading.cameras:
         yield from mistaken_mounts(mission, reading, name)
         yield from mistaken_focals(reading, name)
+    for group in each_and_all(list(reading.cameras)):
         for axes in ("exchanged", "upward"):
-            yield other_pixel_axes(reading, name, axes)
+            yield other_pixel_axes(reading, group, axes)
     for first, second in combinations(reading.cameras, 2):
         yield exchanged_cameras(mission, reading, first, second)
     if mission.shifted is not None:
@@ -450,10 +451,10 @@ def mistaken_focals(reading: Reading, name: str) -> Iterator[PossibleMistake]:
                 yield scaled_focal(reading, group, px_per_mm, "in millimetres, not pixels")
 
 
-def other_pixel_axes(reading: Reading, camera: str, axes: str) -> PossibleMistake:
-    """Pixels of a camera along other axes; it has no amount."""
-    changed = replace(reading, axes={**reading.axes, camera: axes})
-    return PossibleMistake("TIES-PIXELS", axes, (camera,), lambda _: changed)
+def other_pixel_axes(reading: Reading, cameras: tuple[str, ...], axes: str) -> PossibleMistake:
+    """Pixels of some cameras along other axes; it has no amount."""
+    changed = replace(reading, axes={**reading.axes, **dict.fromkeys(cameras, axes)})
+    return PossibleMistake("TIES-PIXELS", axes, cameras, lambda _: changed)
 
 
 def exchanged_cameras(

@@ -455,7 +455,10 @@ def window_normal_inwards() -> PhysicsError:
 
 RAY_BAD_MEASUREMENT = Code(
     "RAY-BAD-MEASUREMENT",
-    means="Heights or the nadir angle of a ray are not numbers.",
+    means=(
+        "Heights or the nadir angle of a ray are not numbers, or nadir angles are outside 0 to pi, "
+        "as degrees are."
+    ),
     effect="The call is refused.",
     remedy="Give heights in metres and the angle in radians (0 to pi).",
 )
@@ -471,6 +474,20 @@ def ray_bad_measurement(*, where: str) -> PhysicsError:
         "heights and angle (0 to 180 degrees) must be numbers, the radius above 0",
         where=where,
         remedy=CHECK_RAY,
+    )
+
+
+def nadir_angles_outside(*, where: str, count: int, total: int, first: float) -> PhysicsError:
+    """Nadir angles that are numbers outside 0 to pi."""
+    return PhysicsError(
+        RAY_BAD_MEASUREMENT,
+        "{count} of {total} nadir angles are outside 0 to pi, the first is {first:.10g}",
+        one="the nadir angle {first:.10g} is outside 0 to pi",
+        where=where,
+        count=count,
+        total=total,
+        first=first,
+        remedy="zeta_c is in radians: use numpy.radians",
     )
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import Profile
 from unbend.refraction import messages
 from unbend.refraction.kernels.columns import LEFT, WORTH_A_TABLE, RayColumns
@@ -172,7 +173,7 @@ METHODS: tuple[str, ...] = ("spherical", *PUBLISHED)
 
 
 def refraction_angle(
-    profile: Profile,
+    profile: Profile | str,
     h_c: ArrayLike,
     h_g: ArrayLike,
     zeta_c: ArrayLike,
@@ -183,9 +184,10 @@ def refraction_angle(
 ) -> Any:
     """Refraction angle R_c at the camera [rad].
 
-    profile : the air, from `standard_atmosphere` or a mission.
+    profile : the air, from `standard_atmosphere` or a mission, or the name of a standard
+        atmosphere.
     h_c, h_g : heights of camera and target above sea level [m]; ``h_g`` may lie above ``h_c``.
-    zeta_c : apparent nadir angle [rad], 0 to pi.
+    zeta_c : apparent nadir angle [rad], 0 to pi. Numbers outside are refused: they are degrees.
     radius, distance : as for `bend`.
     method : one of `METHODS`; all but ``spherical`` are those of `unbend.refraction.published`.
 
@@ -200,6 +202,9 @@ def refraction_angle(
     >>> round(refraction_angle(air, 10000.0, 0.0, 45.0 * DEGREE) / ARCSEC, 6)
     16.378452
     """
+    check_nadir_angles(zeta_c)
+    if isinstance(profile, str):
+        profile = standard_atmosphere(profile)
     r_c, _ = angle_and_status(
         profile,
         h_c,
@@ -210,6 +215,25 @@ def refraction_angle(
         distance=distance,
     )
     return r_c if r_c.ndim else float(r_c)
+
+
+def check_nadir_angles(zeta_c: ArrayLike) -> None:
+    """Refuse nadir angles [rad] that are numbers outside 0 to pi."""
+    angles = np.atleast_1d(np.asarray(zeta_c, np.float64))
+    is_outside = np.isfinite(angles) & ((angles < 0.0) | (angles > math.pi))
+    count = int(is_outside.sum())
+    if not count:
+        return
+    first = np.argwhere(is_outside)[0].tolist()
+    where = "zeta_c"
+    if np.ndim(zeta_c):
+        where = f"zeta_c[{', '.join(map(str, first))}]"
+    raise messages.nadir_angles_outside(
+        where=where,
+        count=count,
+        total=angles.size,
+        first=float(angles[tuple(first)]),
+    )
 
 
 def angle_and_status(

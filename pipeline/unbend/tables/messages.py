@@ -635,11 +635,14 @@ def observations_empty(*, where: Path | str) -> InputError:
     )
 
 
+WORKBOOKS = (".xlsx", ".xls", ".ods")
+"""Endings of files that another name makes no table."""
+
 OBS_FORMAT = Code(
     "OBS-FORMAT",
     means="The ending of the table of observations is neither .csv nor .parquet.",
     effect="The mission is refused.",
-    remedy="Rename it, or give observations.format.",
+    remedy="Save it as CSV, rename a file that is one, or give observations.format.",
 )
 
 
@@ -651,7 +654,11 @@ def observations_format(*, where: Path | str, ending: str, blocks: str) -> Input
         where=where,
         ending=ending,
         blocks=blocks,
-        remedy="convert or rename it, or give observations.format: {blocks}",
+        remedy=(
+            "save it as CSV (in Excel: CSV UTF-8)"
+            if ending in WORKBOOKS
+            else "convert or rename it, or give observations.format: {blocks}"
+        ),
     )
 
 

@@ -800,7 +800,11 @@ TIES_HEIGHT = Code(
     "TIES-HEIGHT",
     means="Tie points show that the stations, or the points, are at other heights than stated.",
     effect="R changes with the height. The run ends with exit code 3.",
-    remedy="Check ground.height, ground.reference and the heights of the stations.",
+    remedy=(
+        "Check ground.height, ground.reference and the heights of the stations. If the rays still "
+        "do not intersect well, and no datum explains the amount, check whether log.path and "
+        "observations.path are of the same flight."
+    ),
 )
 
 TIES_TIME = Code(
@@ -835,7 +839,11 @@ TIES_PIXELS = Code(
     "TIES-PIXELS",
     means="Tie points show that x and y are exchanged, or that y is measured upward.",
     effect="The corrections have a wrong direction. The run ends with exit code 3.",
-    remedy="Check observations.columns.",
+    remedy=(
+        "If x and y are exchanged, exchange them under observations.columns. If y is measured "
+        "upward, replace y by the height of the image less y in the table of observations: no "
+        "column turns an axis."
+    ),
 )
 
 TIES_CAMERAS = Code(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -243,7 +243,11 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     if is_explained:
         remaining = findings[-1].sigma_factor
         for finding in findings:
-            ledger.add(message_of_finding(finding, remaining, count=intersection.point.size))
+            change = what_to_change(evidence.mission, finding)
+            if is_of_another_flight(finding, remaining):
+                finding, change = of_another_flight(evidence.mission, finding, change)
+            count = intersection.point.size
+            ledger.add(message_of_finding(finding, remaining, count=count, change=change))
     nearest = "; ".join(f"{described(finding)} ({finding.key})" for finding in findings)
     report_misses(
         stations,
@@ -280,12 +284,60 @@ def stated_mission(evidence: TieEvidence, rays: ImageRays) -> StatedMission:
     )
 
 
-def message_of_finding(finding: Finding, sigma_factor: float, *, count: int) -> Message:
-    """The message of a finding by ``count`` tie points.
+def what_to_change(mission: Mission, finding: Finding) -> str:
+    """What to change in the mission file, or in the table of observations, by a finding."""
+    if finding.code == "TIES-PIXELS" and finding.label == "upward":
+        axes = " and ".join(flipped_axes(mission, finding.cameras))
+        has_pixels = mission.observations.unit == "px"
+        return f"{axes} in the table of observations" if has_pixels else axes
+    return TO_CHANGE.get(finding.code, "{}").format(finding.key)
+
+
+def is_of_another_flight(finding: Finding, sigma_factor: float) -> bool:
+    """Whether heights differ by more than datums do, and rays then still do not meet well."""
+    return finding.beyond_datums and sigma_factor > PART_FACTOR
+
+
+def of_another_flight(mission: Mission, finding: Finding, change: str) -> tuple[Finding, str]:
+    """A finding and what to ``change``, with stations of another flight as the first cause."""
+    key = "log.path"
+    if mission.stations.trajectory is not None:
+        key = "stations.trajectory.path"
+    if mission.stations.orientation is not None:
+        key = "stations.orientation.path"
+    paths = f"{key} or observations.path"
+    what = f"{paths} may be of another flight: {finding.what}"
+    return replace(finding, what=what), f"{paths}; if both are of this flight, {change}"
+
+
+def flipped_axes(mission: Mission, cameras: Sequence[str]) -> list[str]:
+    """What turns the axis y of the coordinates of ``cameras`` to the other direction, in words.
+
+    Coordinates in millimetres have a key for their axes. For pixels no key does it.
+    """
+    section = mission.observations
+    if section.unit != "px":
+        return [f"cameras.{name}.metric.axes" for name in cameras]
+    cameras_of_size: dict[float, list[str]] = {}
+    for name in cameras:
+        size_px = mission.interior_orientations[name].height_px
+        cameras_of_size.setdefault(size_px, []).append(name)
+    column = section.columns.y_px
+    changes = []
+    for size_px, names in cameras_of_size.items():
+        # Where the first pixel has the number 0, the last has that of their count less 1.
+        largest_px = size_px - 1 if section.pixel_origin == "centre" else size_px
+        changes.append(f"{column} of {', '.join(names)} to {largest_px:.10g} - {column}")
+    return changes
+
+
+def message_of_finding(
+    finding: Finding, sigma_factor: float, *, count: int, change: str
+) -> Message:
+    """The message of a finding by ``count`` tie points, with what to ``change``.
 
     ``sigma_factor`` is how far residuals exceed their sigmas when all findings are mended.
     """
-    change = TO_CHANGE.get(finding.code, "{}").format(finding.key)
     return messages.ties_contradict(
         code=finding.code,
         where=finding.key,

@@ -44,6 +44,16 @@ FORMATS: Mapping[str, ExportFormat] = {
 """Formats by the name that ``unbend export --format`` takes."""
 
 
+def formats_of_program(name: str) -> list[str]:
+    """The formats for a program, whose contents name it.
+
+    >>> formats_of_program("metashape"), formats_of_program("other")
+    (['bundler'], [])
+    """
+    words = f"for {name}:".casefold()
+    return [form.name for form in FORMATS.values() if words in form.contents.casefold()]
+
+
 def find_format(name: str, out: Path) -> ExportFormat:
     """The format of a name, for a file whose ending it has, or a folder.
 
@@ -54,7 +64,11 @@ def find_format(name: str, out: Path) -> ExportFormat:
     if form is None:
         near = difflib.get_close_matches(name, FORMATS, 2)
         raise messages.format_unknown(
-            where="--format", name=name, similar=" or ".join(near), known=", ".join(FORMATS)
+            where="--format",
+            name=name,
+            similar=" or ".join(near),
+            of_program=" or ".join(formats_of_program(name)),
+            known=", ".join(FORMATS),
         )
     fitting = [other for other, f in FORMATS.items() if f.ending == out.suffix.lower()]
     if out.suffix.lower() != form.ending and (form.ending or fitting):

@@ -163,15 +163,26 @@ EXPORT_FORMAT = Code(
 )
 
 
-def format_unknown(*, where: Path | str, name: str, similar: str, known: str) -> ConfigError:
-    """No export has this name; ``similar`` are the most alike, or none."""
+def format_unknown(
+    *, where: Path | str, name: str, similar: str, of_program: str, known: str
+) -> ConfigError:
+    """No export has this name.
+
+    ``similar`` are the most alike, and ``of_program`` those for a program of this name, or none.
+    """
+    remedy = "one of {known}"
+    if similar:
+        remedy = "perhaps {similar}?"
+    if of_program:
+        remedy = "for {name}: {of_program}"
     return ConfigError(
         EXPORT_FORMAT,
         "no format is called {name!r}",
         where=where,
-        remedy="perhaps {similar}?" if similar else "one of {known}",
+        remedy=remedy,
         name=name,
         similar=similar,
+        of_program=of_program,
         known=known,
     )
 
