@@ -117,3 +117,18 @@ def test_files_beside_a_raster_count_with_it(mission):
     plan = plan_of(mission)
     assert plan.input("elevation model 1").sha256 == alone
     assert plan.input("geoid").sha256 != alone
+
+
+@pytest.mark.parametrize("section", ["window", "temperature"])
+def test_a_key_with_null_is_not_an_absent_key(mission, section):
+    """`window: null` says that a camera is outside, `temperature: null` that no sensor is used."""
+    camera = mission.config["cameras"]["nadir"]
+    channels = mission.config["log"]["channels"]
+    camera.pop("window")
+    channels.pop("temperature", None)
+    absent = plan_of(mission)
+    changed = camera if section == "window" else channels
+    changed[section] = None
+    stated = plan_of(mission)
+    assert stated.config == absent.config
+    assert stated.fingerprint != absent.fingerprint

@@ -245,7 +245,7 @@ def runs(mission_factory, tmp_path_factory):
     for name, entry in entries.items():
         mission = mission_factory(tmp_path_factory.mktemp(name) / "mission")
         for camera in mission.config["cameras"].values():
-            del camera["window"]
+            camera["window"] = None
             camera.update(entry)
         channels = mission.config["log"]["channels"]
         for role in ("cabin_pressure", "cabin_temperature", "cabin_humidity"):

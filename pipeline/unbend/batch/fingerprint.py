@@ -9,7 +9,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from importlib import metadata, resources
 from pathlib import Path
@@ -143,12 +143,23 @@ def all_versions() -> dict[str, str]:
 
 
 def fingerprint_of(
-    config: Mapping[str, Any], versions: Mapping[str, str], inputs: Mapping[str, str]
+    config: Mapping[str, Any],
+    versions: Mapping[str, str],
+    inputs: Mapping[str, str],
+    nulls: Sequence[str] = (),
 ) -> str:
-    """SHA-256 over a mission as understood, versions, and hashes of the inputs by their roles."""
+    """SHA-256 over a mission as understood, versions, and hashes of the inputs by their roles.
+
+    ``nulls`` are the keys that the mission file states with null (`config.stated_nulls`).
+    """
     counted = dict(config)
     for key in NOT_IN_FINGERPRINT:
         section, name = key.split(".")
         counted[section] = {k: v for k, v in counted[section].items() if k != name}
-    content = {"config": counted, "versions": dict(versions), "inputs": dict(inputs)}
+    content = {
+        "config": counted,
+        "versions": dict(versions),
+        "inputs": dict(inputs),
+        "nulls": list(nulls),
+    }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -29,6 +29,7 @@ from unbend.batch.results import read_manifest
 from unbend.batch.store import would_replace
 from unbend.caches import user_cache
 from unbend.config import Mission
+from unbend.config.stated_nulls import stated_nulls
 from unbend.errors import UnbendError
 from unbend.tables.manifest.run import MANIFEST_VERSION, Identity, InputRecord
 from unbend.tables.manifest.whole import Manifest
@@ -65,7 +66,7 @@ class Plan:
     def fingerprint(self) -> str:
         """SHA-256 over all that the results depend on."""
         hashes = {item.role: item.sha256 for item in self.inputs}
-        return fingerprint_of(self.config, self.versions, hashes)
+        return fingerprint_of(self.config, self.versions, hashes, stated_nulls(self.mission))
 
     @property
     def folder(self) -> Path:

@@ -206,7 +206,10 @@ class CameraSection(Section):
     )
     window: WindowSection | None = Field(
         None,
-        description="the window that the camera looks through; leave it out if there is no window",
+        description=(
+            "the window that the camera looks through; leave it out if there is no window, or "
+            "state null if the log has a barometer in a closed compartment"
+        ),
     )
     opening: OpeningSection | None = Field(
         None,

@@ -236,4 +236,6 @@ def facts_of(
         takeoff=takeoff_of(prepared.track(), flight.heights.home_h_msl_m, flight.ground),
         logged_terrain_m=logged_terrain(flight.channels, stations.time_ns),
         terrain=prepared.terrain,
+        channels=flight.channels,
+        height=flight.own.get("height"),
     )

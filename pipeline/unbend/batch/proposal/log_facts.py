@@ -11,6 +11,7 @@ from unbend.batch.proposal.values import Proposed, words_of_proposals
 from unbend.config.yaml_text import TODO
 from unbend.errors import MissionError
 from unbend.flight.channels import ROLE_COLUMNS, Channel
+from unbend.flight.compartments import LOWEST_PRESSURISED_M
 from unbend.flight.evidence.impossible_samples import plausible_samples
 from unbend.flight.ground_times import GroundEvidence
 from unbend.flight.heights import height_system
@@ -24,10 +25,6 @@ from unbend.ingest.overview import SEA_LEVEL, flight_of
 
 OPEN_ROLES = ("ROLE-AMBIGUOUS", "CHANNEL-MISSING")
 """Codes of notes on roles that a log leaves open."""
-
-LOWEST_PRESSURISED_M = 2000.0
-"""Cabins of this pressure altitude, and higher ones, are comfortable: below no aircraft that has a
-pressurised cabin takes photographs. Drones stay below."""
 
 LATE_TRIGGER = "EVENTS-TRIGGER-TIME"
 """Code of notes on channels of events that have the times of the triggers, not of the shutter."""

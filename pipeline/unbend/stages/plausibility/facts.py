@@ -10,6 +10,7 @@ import numpy as np
 from unbend.atmosphere.estimate.adjusted_profile import Adjustment
 from unbend.atmosphere.profile import Profile
 from unbend.config import Mission
+from unbend.flight.channels import Channel
 from unbend.flight.ground_times import Takeoff
 from unbend.flight.stations import Stations
 from unbend.refraction.calibration import is_fisheye
@@ -28,6 +29,7 @@ class Facts:
     rows : the sampled observations, (n,) each.
     usual_air : the climatology of place and season.
     takeoff, terrain : None where they are unknown.
+    channels, height : those of the log, and the one of the heights; () and None without a log.
     logged_terrain_m : (s,) terrain below each station, as the autopilot logged it.
     """
 
@@ -41,6 +43,8 @@ class Facts:
     takeoff: Takeoff | None
     logged_terrain_m: Array
     terrain: ElevationModel | None
+    channels: tuple[Channel, ...]
+    height: Channel | None
 
     @cached_property
     def model_at_takeoff_m(self) -> float:

@@ -342,11 +342,15 @@ def delay_large(*, where: str, name: str, delay: float) -> Message:
 PLAUSIBLE_WINDOW = Code(
     "PLAUSIBLE-WINDOW",
     means=(
-        "The log has the air of a cabin, but no camera has a window. Or a window is tilted by more "
-        "than 35 degrees from the optical axis."
+        "The log has the air of a cabin, or a barometer in a closed compartment, but no camera has "
+        "a window. Or a window is tilted by more than 35 degrees from the optical axis."
     ),
     effect="The correction is kept. The run ends with exit code 3.",
-    remedy="Check window.normal and window.frame, or leave the channels of the cabin out.",
+    remedy=(
+        "State window of each camera and log.channels.cabin_pressure. If the cameras are outside, "
+        "state window: null and leave the channels of the cabin out. Of a tilted window check "
+        "window.normal and window.frame."
+    ),
 )
 
 
@@ -359,6 +363,32 @@ def window_missing(*, where: str) -> Message:
             "or no channel of a cabin"
         ),
         where=where,
+    )
+
+
+def window_unstated(
+    *,
+    where: str,
+    barometer: str,
+    inside_hpa: float,
+    outside_hpa: float,
+    shift_px: float,
+) -> Message:
+    """A barometer is in a closed compartment, and the mission file says nothing of windows."""
+    return finding(
+        PLAUSIBLE_WINDOW,
+        (
+            "{barometer} is in a closed compartment (its pressure does not follow the height), but "
+            "no camera has a window. At the height of the cameras it has {inside_hpa:.0f} hPa, and "
+            "the air outside {outside_hpa:.0f} hPa: a window shifts points by about {shift_px:.2f} "
+            "px halfway to the corner of the image. State window: {{cabin: log}} and "
+            "log.channels.cabin_pressure: {barometer}, or window: null if the cameras are outside"
+        ),
+        where=where,
+        barometer=barometer,
+        inside_hpa=inside_hpa,
+        outside_hpa=outside_hpa,
+        shift_px=shift_px,
     )
 
 

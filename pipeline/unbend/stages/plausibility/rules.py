@@ -18,6 +18,7 @@ from unbend.refraction.camera.camera import Camera
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.stages.plausibility import messages
 from unbend.stages.plausibility.air_limits import limits_of_factor
+from unbend.stages.plausibility.cabin_windows import windows_of_compartments
 from unbend.stages.plausibility.causes import EARTH_RADIUS_M, causes_of_statuses
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.lens_references import lens_references
@@ -490,6 +491,7 @@ RULES: tuple[Callable[[Facts], Findings], ...] = (
     lever_arms,
     sigmas_and_delays,
     windows,
+    windows_of_compartments,
     lens_references,
     slant_ranges,
     flagged_rows,

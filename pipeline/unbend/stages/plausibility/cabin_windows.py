@@ -1,0 +1,82 @@
+"""Whether a mission states the windows of an aircraft whose log shows a closed compartment."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from unbend.config.stated_nulls import cameras_of_unstated_window
+from unbend.flight.compartments import Compartment, closed_compartments
+from unbend.messages import Message
+from unbend.stages.cabin_air import USUAL_TEMPERATURE_K
+from unbend.stages.plausibility import messages
+from unbend.stages.plausibility.facts import Facts
+from unbend.units import HECTOPASCAL
+
+SMALLEST_SHIFT_PX = 0.02  # of a window, halfway to a corner of the image: less cannot be measured
+AT_CAMERAS = 1.01  # of the pressure at the lowest station: 80 m below it
+
+
+def windows_of_compartments(facts: Facts) -> Iterator[Message]:
+    """Cameras with a window, or the statement that they have none, if the log has a compartment.
+
+    No finding where the window would not shift points measurably. Another rule (`windows`) has the
+    missions that name the barometer of the cabin.
+    """
+    mission = facts.mission
+    if mission.log is None or mission.log.channels.cabin_pressure is not None:
+        return
+    cameras = cameras_of_unstated_window(mission)
+    if mission.windows or not cameras or facts.height is None:
+        return
+    named = mission.log.channels.named().get("pressure")
+    for compartment in closed_compartments(facts.channels, facts.height):
+        if named is not None and named.name == compartment.barometer:
+            continue  # the mission file states that this barometer is outside
+        finding = window_of_compartment(facts, compartment, cameras)
+        if finding is not None:
+            yield finding
+            return
+
+
+def window_of_compartment(
+    facts: Facts, compartment: Compartment, cameras: tuple[str, ...]
+) -> Message | None:
+    """The finding on one compartment; None if a window of it would shift points too little."""
+    profile = facts.adjustment.profile
+    heights_m = facts.exposures.height_m[facts.stations.ok]
+    heights_m = heights_m[np.isfinite(heights_m)]
+    if heights_m.size == 0:
+        return None
+    height_m = float(np.median(heights_m))
+    lowest_station_pa = float(profile.pressure(np.min(heights_m)))
+    at_cameras = compartment.outside_pa < AT_CAMERAS * lowest_station_pa
+    if not at_cameras.any():
+        return None
+    inside_pa = float(np.median(compartment.inside_pa[at_cameras]))
+    inside = float(profile.index.refractivity(USUAL_TEMPERATURE_K, inside_pa, 0.0))
+    outside = float(profile.refractivity(height_m))
+    shift_px = abs(inside - outside) * halfway_to_corner_px(facts, cameras)
+    if shift_px < SMALLEST_SHIFT_PX:
+        return None
+    keys = [f"cameras.{name}.window" for name in cameras]
+    return messages.window_unstated(
+        where=", ".join(keys),
+        barometer=compartment.barometer,
+        inside_hpa=inside_pa / HECTOPASCAL,
+        outside_hpa=float(profile.pressure(height_m)) / HECTOPASCAL,
+        shift_px=shift_px,
+    )
+
+
+def halfway_to_corner_px(facts: Facts, cameras: tuple[str, ...]) -> float:
+    """Half of the longest half diagonal of the images of some cameras [px].
+
+    That is f tan(theta) of a ray there: a window shifts it by so many times the difference of the
+    indices.
+    """
+    lengths_px = []
+    for name in cameras:
+        camera = facts.cameras[name]
+        lengths_px.append(math.hypot(camera.width_px, camera.height_px) / 4.0)
+    return max(lengths_px)
