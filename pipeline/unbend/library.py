@@ -9,17 +9,14 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from unbend.atmosphere import Profile
-from unbend.atmosphere.estimate.adjusted_profile import unadjusted
-from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile, constant_series
-from unbend.batch.finished_run.read_back import air_of, stations_of
+from unbend.batch.finished_run.read_back import stations_of
+from unbend.batch.given_air import Air, air_of_stations
 from unbend.batch.opening import (
     KNOWN_POSITIONS,
     columns_of_positions,
@@ -32,9 +29,7 @@ from unbend.batch.opening import (
 from unbend.config import Mission
 from unbend.config.orientations import KnownPositions
 from unbend.config.reading import mission_of
-from unbend.flight.stations import Stations
 from unbend.messages import LOSSES, Ledger, Message
-from unbend.refraction.effect import FlightAir
 from unbend.stages import messages
 from unbend.stages.correction import correct_parts
 from unbend.stages.correction_setup import CorrectionSetup
@@ -46,7 +41,6 @@ from unbend.tables.imports.user_tables import known_positions_of_frame, orientat
 from unbend.tables.manifest.results import ResultsRecord
 
 Table = TypeVar("Table", pd.DataFrame, pa.Table)
-Air: TypeAlias = Profile | TimedProfile | ProfileSeries | pa.Table | str | Mapping[str, Any]
 
 _QUANTITY_OF_COLUMN = {
     "lat_deg": "latitude",
@@ -371,6 +365,7 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
     used alone, and of several columns that with the stated reference. A stated date is used in the
     place of times. Refuses (ConfigError TABLES-FRAME) x and y in no stated frame.
     """
+    refuse_unknown_frame(filled, stated)
     columns = {name: name for name in _OPTIONAL_COLUMNS if name in filled}
     if "date" in stated:
         columns.pop("time_utc", None)
@@ -378,8 +373,6 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
     for name, angles in _ANGLES_OF_COLUMN.items():
         if name in filled:
             section["angles"] = angles
-    if "frame" not in stated and {"x", "y"} <= {*filled} and "latitude" not in filled:
-        raise messages.frame_of_tables_missing(where="orientation")
     frame = stated.get("frame", "geographic")
     is_local = isinstance(frame, Mapping)  # angles of one place
     has_places = "latitude" in filled and "longitude" in filled
@@ -396,6 +389,13 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
     section["columns"] = columns | stated_columns
     section["path"] = "stations"
     return section
+
+
+def refuse_unknown_frame(filled: Sequence[str], stated: Mapping[str, Any]) -> None:
+    """Refuse (ConfigError TABLES-FRAME) stations in x and y alone, where no frame is stated."""
+    has_map_places = "x" in filled and "y" in filled
+    if has_map_places and "latitude" not in filled and "frame" not in stated:
+        raise messages.frame_of_tables_missing(where="orientation")
 
 
 def add_height_column(
@@ -451,51 +451,6 @@ def inputs_of_tables(
         read = known_positions_of_frame(known, section.known_positions.path, columns)
         inputs = replace(inputs, known_positions=KnownImagePositions(*read))
     return mission, inputs
-
-
-def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> FlightAir:
-    """The air that the caller gives, for all stations.
-
-    ``placed`` is the caller's table of stations; ``stations`` are these and, after them, images
-    without an exposure, which get the first profile.
-    """
-    series = series_of_stations(profile, placed, len(stations))
-    profile_number = np.zeros(len(stations), np.int64)
-    profile_number[: series.profile_number.size] = series.profile_number
-    first = series.timed_profiles[0]
-    adjustment = unadjusted(first.profile, "it is given")
-    adjustment = replace(adjustment, covariance=first.covariance)
-    return FlightAir(adjustment, ProfileSeries(series.timed_profiles, profile_number))
-
-
-def series_of_stations(profile: Air, placed: pa.Table, count: int) -> ProfileSeries:
-    """The profiles of stations, by whatever the caller gives as the air.
-
-    A single profile is that of all ``count`` stations; several belong to the rows of ``placed``,
-    the caller's table of stations.
-    """
-    if isinstance(profile, Profile):
-        return constant_series(TimedProfile(None, profile), count)
-    if isinstance(profile, TimedProfile):
-        return constant_series(profile, count)
-    if isinstance(profile, pa.Table) and b"g_phi" in (profile.schema.metadata or {}):
-        ids = pa.nulls(0)
-        if "profile_id" in placed.column_names:
-            ids = placed["profile_id"]
-        profile_count = pc.count_distinct(profile["profile_id"]).as_py()
-        if profile_count > 1 and not len(ids):
-            raise ValueError("several profiles need the stations of their run, with profile_id")
-        return air_of(profile, ids.cast(pa.string()))
-    if isinstance(profile, ProfileSeries):
-        size = profile.profile_number.size
-        given = placed.num_rows
-        if size != given:
-            raise ValueError(f"the profiles are those of {size} stations, but {given} are given")
-        return profile
-    raise TypeError(
-        f"a profile cannot be a {type(profile).__name__}; it must be a Profile, TimedProfile, "
-        "ProfileSeries, the Arrow table of profile.parquet, a name, or a section"
-    )
 
 
 def correct_one_image() -> None:

@@ -30,13 +30,20 @@ def mission_of(manifest: Manifest, path: Path) -> Mission:
         config = json.dumps(manifest.run.config)
         return Mission.model_validate_json(config)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
         raise messages.config_not_understood(
             path=str(path / MANIFEST),
             mistakes=error.error_count(),
-            first=f"{key}: {first['msg']}",
+            first=first_mistake(error),
         ) from None
+
+
+def first_mistake(error: ValidationError) -> str:
+    """The first key that a model refuses, and why."""
+    mistake = error.errors(include_url=False)[0]
+    places = map(str, mistake["loc"])
+    key = ".".join(places)
+    reason = mistake["msg"]
+    return f"{key}: {reason}"
 
 
 def numbers_of(table: pa.Table, name: str) -> Array:

@@ -243,11 +243,12 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     if is_explained:
         remaining = findings[-1].sigma_factor
         for finding in findings:
+            reported = finding
             change = what_to_change(evidence.mission, finding)
             if is_of_another_flight(finding, remaining):
-                finding, change = of_another_flight(evidence.mission, finding, change)
+                reported, change = of_another_flight(evidence.mission, finding, change)
             count = intersection.point.size
-            ledger.add(message_of_finding(finding, remaining, count=count, change=change))
+            ledger.add(message_of_finding(reported, remaining, count=count, change=change))
     nearest = "; ".join(f"{described(finding)} ({finding.key})" for finding in findings)
     report_misses(
         stations,
