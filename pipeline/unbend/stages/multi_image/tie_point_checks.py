@@ -243,11 +243,12 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     if is_explained:
         remaining = findings[-1].sigma_factor
         for finding in findings:
+            named = finding
             change = what_to_change(evidence.mission, finding)
             if is_of_another_flight(finding, remaining):
-                finding, change = of_another_flight(evidence.mission, finding, change)
+                named, change = of_another_flight(evidence.mission, finding, change)
             count = intersection.point.size
-            ledger.add(message_of_finding(finding, remaining, count=count, change=change))
+            ledger.add(message_of_finding(named, remaining, count=count, change=change))
     nearest = "; ".join(f"{described(finding)} ({finding.key})" for finding in findings)
     report_misses(
         stations,
@@ -318,7 +319,7 @@ def flipped_axes(mission: Mission, cameras: Sequence[str]) -> list[str]:
     section = mission.observations
     if section.unit != "px":
         return [f"cameras.{name}.metric.axes" for name in cameras]
-    cameras_of_size: dict[float, list[str]] = {}
+    cameras_of_size: dict[int, list[str]] = {}
     for name in cameras:
         size_px = mission.interior_orientations[name].height_px
         cameras_of_size.setdefault(size_px, []).append(name)
@@ -327,7 +328,7 @@ def flipped_axes(mission: Mission, cameras: Sequence[str]) -> list[str]:
     for size_px, names in cameras_of_size.items():
         # Where the first pixel has the number 0, the last has that of their count less 1.
         largest_px = size_px - 1 if section.pixel_origin == "centre" else size_px
-        changes.append(f"{column} of {', '.join(names)} to {largest_px:.10g} - {column}")
+        changes.append(f"{column} of {', '.join(names)} to {largest_px} - {column}")
     return changes
 
 
