@@ -7,14 +7,13 @@ import pandas as pd
 import pytest
 from matplotlib.dates import date2num
 
+from tests.helpers import one_line
 from unbend.flight.ground_times import LoggedPath
 from unbend.flight.stations import NO_TIME, Stations, empty_stations, station_columns
 from unbend.report.command_plots import flight_figure
 from unbend.report.console import report_console
 from unbend.report.terminal import print_stations
 from unbend.tables.writing import rows_of_stations
-
-from .printed import one_line
 
 pytestmark = pytest.mark.usefixtures("eighty_columns")
 

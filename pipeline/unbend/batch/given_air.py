@@ -30,7 +30,8 @@ def air_of_stations(profile: Air, placed: pa.Table, stations: Stations) -> Fligh
     first = series.timed_profiles[0]
     adjustment = unadjusted(first.profile, "it is given")
     adjustment = replace(adjustment, covariance=first.covariance)
-    return FlightAir(adjustment, ProfileSeries(series.timed_profiles, profile_number))
+    of_stations = ProfileSeries(series.timed_profiles, profile_number)
+    return FlightAir(adjustment, of_stations)
 
 
 def series_of_stations(profile: Air, placed: pa.Table, count: int) -> ProfileSeries:

@@ -487,7 +487,7 @@ def nadir_angles_outside(*, where: str, count: int, total: int, first: float) ->
         count=count,
         total=total,
         first=first,
-        remedy="zeta_c is in radians: use numpy.radians",
+        remedy="give the nadir angle in radians: use numpy.radians",
     )
 
 

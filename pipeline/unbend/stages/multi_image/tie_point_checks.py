@@ -242,13 +242,9 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     is_explained = bool(findings) and findings[-1].sigma_factor < POOR_FACTOR
     if is_explained:
         remaining = findings[-1].sigma_factor
+        count = intersection.point.size
         for finding in findings:
-            reported = finding
-            change = what_to_change(evidence.mission, finding)
-            if is_of_another_flight(finding, remaining):
-                reported, change = of_another_flight(evidence.mission, finding, change)
-            count = intersection.point.size
-            ledger.add(message_of_finding(reported, remaining, count=count, change=change))
+            ledger.add(message_with_change(evidence.mission, finding, remaining, count=count))
     nearest = "; ".join(f"{described(finding)} ({finding.key})" for finding in findings)
     report_misses(
         stations,
@@ -285,6 +281,17 @@ def stated_mission(evidence: TieEvidence, rays: ImageRays) -> StatedMission:
     )
 
 
+def message_with_change(
+    mission: Mission, finding: Finding, sigma_factor: float, *, count: int
+) -> Message:
+    """The message of a finding and what to change; first of all the flight, where it is another."""
+    named = finding
+    change = what_to_change(mission, finding)
+    if is_of_another_flight(finding, sigma_factor):
+        named, change = of_another_flight(mission, finding, change)
+    return message_of_finding(named, sigma_factor, count=count, change=change)
+
+
 def what_to_change(mission: Mission, finding: Finding) -> str:
     """What to change in the mission file, or in the table of observations, by a finding."""
     if finding.code == "TIES-PIXELS" and finding.label == "upward":
@@ -319,7 +326,7 @@ def flipped_axes(mission: Mission, cameras: Sequence[str]) -> list[str]:
     section = mission.observations
     if section.unit != "px":
         return [f"cameras.{name}.metric.axes" for name in cameras]
-    cameras_of_size: dict[float, list[str]] = {}
+    cameras_of_size: dict[int, list[str]] = {}
     for name in cameras:
         size_px = mission.interior_orientations[name].height_px
         cameras_of_size.setdefault(size_px, []).append(name)
@@ -328,7 +335,7 @@ def flipped_axes(mission: Mission, cameras: Sequence[str]) -> list[str]:
     for size_px, names in cameras_of_size.items():
         # Where the first pixel has the number 0, the last has that of their count less 1.
         largest_px = size_px - 1 if section.pixel_origin == "centre" else size_px
-        changes.append(f"{column} of {', '.join(names)} to {largest_px:.10g} - {column}")
+        changes.append(f"{column} of {', '.join(names)} to {largest_px} - {column}")
     return changes
 
 

@@ -174,7 +174,7 @@ def format_unknown(
     if similar:
         remedy = "perhaps {similar}?"
     if of_program:
-        remedy = "for {name}: {of_program}"
+        remedy = "for {name}: {formats}"
     return ConfigError(
         EXPORT_FORMAT,
         "no format is called {name!r}",
@@ -182,7 +182,7 @@ def format_unknown(
         remedy=remedy,
         name=name,
         similar=similar,
-        of_program=of_program,
+        formats=of_program,
         known=known,
     )
 
