@@ -1,4 +1,4 @@
-"""Arithmetic with the same results on every machine, to the last bit.
+"""Arithmetic of commands that depends neither on AVX-512 nor on the number of threads.
 
 numpy and OpenBLAS have code of their own for each kind of processor. With AVX-512 logarithms, sines
 and sums differ from those with AVX2 in the last bits. Sums of OpenBLAS also depend on the number of
@@ -12,10 +12,11 @@ PROCESSORS = "/proc/cpuinfo"
 
 
 def use_same_arithmetic() -> None:
-    """Let this process, and those that it starts, compute as on every machine.
+    """Let this process, and those that it starts, give the same bytes as on other machines.
 
-    Takes effect if numpy is not imported yet. Processors with AVX-512 compute with AVX2. They are
-    known on Linux alone. One thread of OpenBLAS is also faster: matrices have some hundred rows.
+    Takes effect if numpy is not imported yet. Processors with AVX-512 compute with AVX2, on Linux
+    and with numpy 2.4 or newer; what the user has set for them stays. One thread of OpenBLAS is
+    also faster: matrices have some hundred rows.
     """
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     if has_avx512():

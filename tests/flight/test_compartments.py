@@ -94,6 +94,7 @@ FAILURES = {
     "in another unit": cabin_pa() / 100.0,
     "too low": OUTSIDE_PA - 10_000.0 * CLIMB,
     "higher than the ground": cabin_pa() + 10_000.0,
+    "outside, with 19 hPa of dynamic pressure": OUTSIDE_PA + 1900.0 * np.sin(SECONDS / 30.0),
     "missing": np.full(SECONDS.size, np.nan),
 }
 

@@ -106,7 +106,7 @@ WORDS = yaml.safe_load("""
 - [lever-arm, 'mount.<camera>.lever_arm_m']
 - [focal length, f_px]
 - ['R', r_c_rad]
-- [taken_with, the same camera for Metashape]
+- [taken_with, this camera for Metashape]
 - [calibration.json, the camera that the images were taken with]
 - [refraction of the window, are not to be added]
 - [EXPORT-RESIDUAL, '--format bundler for Metashape']

@@ -273,7 +273,8 @@ def test_numbers_of_a_cabin_without_sigmas_are_named(baseline, stated, keys):
     if keys is not None:
         where = f"cameras.nadir.window.cabin: {keys}"
         expected = [
-            f"State the sigmas of the air in the cabin ({where}). No sigma contains its errors."
+            f"State the sigmas of the air in the cabin ({where}): the sigmas of the results do not "
+            "contain the errors of these numbers."
         ]
     assert steps == expected
 

@@ -246,7 +246,7 @@ def places_beside(frame: pd.DataFrame, section: OrientationSection) -> Iterator[
     degrees = frame[["latitude", "longitude"]].apply(pd.to_numeric, errors="coerce")
     position = np.full((len(frame), 3), np.nan)
     position[:, :2] = np.radians(degrees.to_numpy(np.float64))
-    image = frame[section.column_names["image"]].to_numpy(object)
+    image = frame[section.column_names["image"]].map(str).to_numpy(object)
     yield KnownPlaces("latitude and longitude in the table of stations", image, position)
 
 

@@ -406,7 +406,8 @@ def large_mistakes(mission: StatedMission, reading: Reading) -> Iterator[Possibl
     for name in reading.cameras:
         yield from mistaken_mounts(mission, reading, name)
         yield from mistaken_focals(reading, name)
-    for group in each_and_all(list(reading.cameras)):
+    flown = [name for name in reading.cameras if np.any(mission.orientations.camera == name)]
+    for group in each_and_all(flown):
         for axes in ("exchanged", "upward"):
             yield other_pixel_axes(reading, group, axes)
     for first, second in combinations(reading.cameras, 2):

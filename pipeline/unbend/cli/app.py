@@ -125,7 +125,8 @@ def place_of_command(words: Sequence[str], commands: Collection[str]) -> int | N
     >>> place_of_command(["a.yaml", "--output", "run"], {"run"})
     """
     for place, word in enumerate(words):
-        is_value = place > 0 and words[place - 1].startswith("--")
+        before = words[place - 1] if place else ""
+        is_value = before.startswith("--") and "=" not in before
         if word in commands and not is_value:
             return place
     return None

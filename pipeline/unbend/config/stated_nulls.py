@@ -11,7 +11,7 @@ def cameras_of_unstated_window(mission: Mission) -> tuple[str, ...]:
     names = []
     for name, camera in mission.cameras.items():
         stated = camera.model_fields_set
-        if "window" not in stated and "opening" not in stated:
+        if "window" not in stated and camera.opening is None:
             names.append(name)
     return tuple(names)
 

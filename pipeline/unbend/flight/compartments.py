@@ -11,13 +11,13 @@ from unbend.flight.roles import follows_height
 from unbend.units import HECTOPASCAL, Array
 
 LOWEST_PRESSURISED_M = 2000.0
-"""Cabins of this pressure altitude, and higher ones, are comfortable: below no aircraft that has a
-pressurised cabin takes photographs. Drones stay below."""
+"""People need no pressurised cabin up to here, and drones stay below."""
 
 FEWEST_SAMPLES = 10
 MAX_GAP_S = 5.0  # between samples of the barometer outside
 BEYOND_PA = 20.0 * HECTOPASCAL  # errors of both sensors, and of pressure at the skin
 WITHIN_SHARE = 0.99  # of the samples: the others may be damaged
+EXCESS_SHARE = 90.0  # percent of the samples: a tenth is at heights where the cabin is closed
 SMOOTH_SHARE = 95.0  # percent of the samples
 LARGEST_ROUGHNESS_PA = 1.0 * HECTOPASCAL  # barometers scatter by less than 0.2 hPa
 STUCK_SHARE = 0.5  # of the samples, in a row without a change
@@ -76,7 +76,8 @@ def compartment_of(barometer: Channel, outside: Channel) -> Compartment:
 def is_of_compartment(inside_pa: Array, outside_pa: Array) -> bool:
     """Whether pressures (n,) can be those of a closed compartment, not of a sensor that fails.
 
-    They are between the pressure outside and that at the ground, change smoothly, and do change.
+    They are between the pressure outside and that at the ground, plainly above that outside for a
+    part of the flight, change smoothly, and do change.
 
     >>> outside = np.linspace(95_000.0, 65_000.0, 50)
     >>> inside = np.linspace(95_000.0, 80_000.0, 50)
@@ -88,6 +89,9 @@ def is_of_compartment(inside_pa: Array, outside_pa: Array) -> bool:
     ground_pa = float(np.max(outside_pa))
     is_within = (inside_pa > outside_pa - BEYOND_PA) & (inside_pa < ground_pa + BEYOND_PA)
     if float(np.mean(is_within)) < WITHIN_SHARE:
+        return False
+    excess_pa = float(np.percentile(inside_pa - outside_pa, EXCESS_SHARE))
+    if excess_pa < BEYOND_PA:
         return False
     mean_of_neighbours_pa = (inside_pa[:-2] + inside_pa[2:]) / 2.0
     off_pa = np.abs(inside_pa[1:-1] - mean_of_neighbours_pa)

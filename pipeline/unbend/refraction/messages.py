@@ -487,7 +487,7 @@ def nadir_angles_outside(*, where: str, count: int, total: int, first: float) ->
         count=count,
         total=total,
         first=first,
-        remedy="give the nadir angle in radians: use numpy.radians",
+        remedy="give the nadir angle in radians; if these are degrees, use numpy.radians",
     )
 
 

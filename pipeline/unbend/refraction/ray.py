@@ -217,10 +217,13 @@ def refraction_angle(
     return r_c if r_c.ndim else float(r_c)
 
 
+LARGEST_ANGLE_RAD = math.pi * (1.0 + 1e-6)  # pi, also as a float32
+
+
 def check_nadir_angles(zeta_c: ArrayLike) -> None:
-    """Refuse nadir angles [rad] that are numbers outside 0 to pi."""
+    """Refuse (PhysicsError RAY-BAD-MEASUREMENT) nadir angles [rad] outside 0 to pi; NaN passes."""
     angles = np.atleast_1d(np.asarray(zeta_c, np.float64))
-    is_outside = np.isfinite(angles) & ((angles < 0.0) | (angles > math.pi))
+    is_outside = np.isfinite(angles) & ((angles < 0.0) | (angles > LARGEST_ANGLE_RAD))
     count = int(is_outside.sum())
     if not count:
         return

@@ -88,7 +88,10 @@ def step_to_stated_sigmas(manifest: Manifest) -> list[str]:
     if not missing:
         return []
     places = "; ".join(missing)
-    return [f"State the sigmas of the air in the cabin ({places}). No sigma contains its errors."]
+    return [
+        f"State the sigmas of the air in the cabin ({places}): the sigmas of the results do not "
+        "contain the errors of these numbers."
+    ]
 
 
 def sigmas_not_stated(cabin: CabinKeys) -> list[str]:

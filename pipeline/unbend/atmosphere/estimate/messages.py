@@ -197,8 +197,7 @@ def air_humidity_expected() -> Message:
     """No humidity was measured outside."""
     return fallback(
         AIR_HUMIDITY_EXPECTED,
-        "no humidity measured outside: the humidity is that of the climatology, adjusted by other "
-        "readings",
+        "no humidity measured outside: the estimate begins at that of the climatology",
     )
 
 

@@ -46,6 +46,9 @@ DECIDED_TIES = OF_HEIGHTS | frozenset(
 UNDECIDED_TIES = frozenset({"TIES-RESIDUALS", "ORIENTATION-TIES"})
 """Codes of comparisons with tie points in which no single mistake explains how rays miss."""
 
+VERIFYING = UNDECIDED_TIES
+"""Codes by which one sees that tie points were compared, with an elevation model too; as notes."""
+
 OF_RAYS = ("misses_ground", "beyond_grazing", "far_branch")
 """Statuses of rows whose rays have a wrong direction or place."""
 
@@ -75,7 +78,7 @@ def known_causes(facts: Facts, ledger: Ledger) -> dict[str, str]:
         known["outside_camera"] = "PLAUSIBLE-EXTENT"
     if "PLAUSIBLE-SENSORS" in codes and are_suspect_by_height(facts, ledger):
         known["no_station"] = "PLAUSIBLE-SENSORS"
-    of_ties = codes & DECIDED_TIES - consequences_in_ties(codes)
+    of_ties = codes & (DECIDED_TIES - consequences_in_ties(codes))
     if of_ties:
         listed = ", ".join(sorted(of_ties))
         known.update(dict.fromkeys(OF_RAYS, listed))
@@ -201,4 +204,4 @@ def is_verified(facts: Facts, ledger: Ledger) -> bool:
         return True
     if bool(np.isfinite(facts.logged_terrain_m).any()):
         return True
-    return any(entry.code in UNDECIDED_TIES for entry in ledger)
+    return any(entry.code in VERIFYING for entry in ledger)
