@@ -6,7 +6,7 @@ import yaml
 from pydantic import ValidationError
 
 from unbend.config.cameras import CameraSection
-from unbend.config.metric_cameras import MetricTable
+from unbend.config.metric_cameras import MetricDistortion, MetricTable
 from unbend.refraction.calibration import MODELS
 
 FORMAT = {"width_px": 4000, "height_px": 3000, "calibration": "laboratory"}
@@ -99,3 +99,11 @@ def test_a_table_by_field_angle_is_by_the_radius_of_its_tangent():
     by_radius = MetricTable(sense="correction", by="radius_mm", rows=rows_um)
     rows, _ = by_radius.in_mm(150.0)
     assert rows[:, 0].tolist() == [0.0, 30.0, 45.0]
+
+
+COEFFICIENTS = {"k0", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2"}
+
+
+def test_coefficients_that_a_report_does_not_have_are_zero():
+    coefficients = MetricDistortion(sense="correction").model_dump(include=COEFFICIENTS)
+    assert coefficients == dict.fromkeys(COEFFICIENTS, 0.0)

@@ -125,6 +125,14 @@ def test_an_aircraft_that_stands_on_a_hill_is_on_the_ground():
     assert seconds_on_the_ground(on_a_hill, landed) == list(range(100))
 
 
+def test_heights_above_home_that_are_missing_for_a_while_count_where_they_are_known():
+    """The home that the autopilot logs is 400 m below the stated heights above it."""
+    above_home_m = np.where(HOVER_S < 20, np.nan, 0.0)
+    home = channel("ORGN", [0], home_h_msl_m=550.0)
+    on_the_ground = seconds_on_the_ground(hover(h_home_m=above_home_m), home)
+    assert set(range(20, 180)) <= set(on_the_ground)
+
+
 def test_an_aircraft_whose_home_is_not_set_yet_may_stand():
     """Until home is set, its height above home is that above the sea."""
     above_home_m = np.where(HOVER_S < 60, 950.0, 0.0)

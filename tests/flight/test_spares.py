@@ -148,6 +148,8 @@ def test_a_barometer_that_is_lost_gives_way_to_one_that_goes_on(silent_s, plays)
     without_spare, _ = assign_roles((WHOLE, lost), {}, needs_cabin=False)
 
     assert roles["pressure"].name == plays
-    spares = [note.where for note in with_code(notes, "ROLE-SPARE")]
-    assert spares == ["pressure"] * (plays == "BARO[1]")
+    spares = with_code(notes, "ROLE-SPARE")
+    assert [note.where for note in spares] == ["pressure"] * (plays == "BARO[1]")
+    for note in spares:
+        assert "BARO[1], because BARO[0] has no values" in note.what
     assert without_spare["pressure"] is lost
