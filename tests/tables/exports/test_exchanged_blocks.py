@@ -125,6 +125,21 @@ def test_cameras_come_back(square, program, file, names):
         assert_within(camera.project(u, v), distorted(expected, u, v), 1e-8)
 
 
+def test_the_matrix_of_a_camera_of_pix4d_has_no_skew(square):
+    written = write_export(square.run(), "pix4d")
+
+    text = (written.path / "unbend_calibrated_camera_parameters.txt").read_text("utf-8")
+
+    image = square.image[0]
+    _, of_image = text.split(f"{image} {SQUARE.width_px} {SQUARE.height_px}\n")
+    rows = [[float(word) for word in line.split()] for line in of_image.splitlines()[:3]]
+    assert rows == [
+        [SQUARE.fx_px, 0.0, SQUARE.cx_px],
+        [0.0, SQUARE.fy_px, SQUARE.cy_px],
+        [0.0, 0.0, 1.0],
+    ]
+
+
 def test_angles_of_pix4d_are_those_of_the_textbook(square):
     """In the file of X, Y, Z, omega, phi and kappa, which is not that of the matrices."""
     written = write_export(square.run(), "pix4d")
