@@ -542,5 +542,6 @@ def test_a_camera_may_be_called_like_a_mount():
         reading=reading,
         gain=50.0,
         text="it is so",
+        beyond_datums=False,
     )
     assert finding_of(mission, [best]).key == "cameras.wing-mount"

@@ -57,6 +57,7 @@ def test_a_typo_gets_the_nearest_names(typo, meant):
 
 
 def test_a_value_is_explained_by_the_keys_that_take_it():
+    assert explain("OPENCV")[0] == "opencv (value of keys)"
     lines = explain("omega_phi_kappa")
     assert lines[:3] == ["omega_phi_kappa (value of keys)", "", "stations.orientation.angles"]
     assert "turns vectors of the photo (x right, y up, z backward) to the frame" in lines[3]

@@ -1,6 +1,6 @@
 """The inputs of a mission are opened: paths become the tables and readers that the stages take."""
 
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -235,19 +235,20 @@ def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
     return places
 
 
-def places_beside(frame: pd.DataFrame, section: OrientationSection) -> Iterator[KnownPlaces]:
+def places_beside(frame: pd.DataFrame, section: OrientationSection) -> tuple[KnownPlaces, ...]:
     """Latitudes and longitudes in a table of stations that has its positions in other columns.
 
-    They are compared with these positions. ``frame`` has columns named by quantities.
+    They are compared with these positions; () without them. ``frame`` has columns named by
+    quantities.
     """
     is_position = "latitude" in section.column_names
     if is_position or not {"latitude", "longitude"} <= {*frame.columns}:
-        return
+        return ()
     degrees = frame[["latitude", "longitude"]].apply(pd.to_numeric, errors="coerce")
     position = np.full((len(frame), 3), np.nan)
     position[:, :2] = np.radians(degrees.to_numpy(np.float64))
     image = frame[section.column_names["image"]].map(str).to_numpy(object)
-    yield KnownPlaces("latitude and longitude in the table of stations", image, position)
+    return (KnownPlaces("latitude and longitude in the table of stations", image, position),)
 
 
 def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints | None:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from unbend.block.alignment import LOG_RATIO_NEEDED
-from unbend.block.errors_in_words import BEYOND_DATUMS, error_in_words
+from unbend.block.errors_in_words import error_in_words, is_beyond_datums
 from unbend.block.given_heights import scattered_heights, with_usable_heights
 from unbend.block.intersection import Intersection
 from unbend.block.possible_mistakes import (
@@ -72,12 +72,18 @@ class Finding:
     label: str = ""  # which mistake of its kind
     beyond_datums: bool = False  # heights differ by more than another datum or feet explain
 
+    @property
+    def subject(self) -> tuple[str, str, tuple[str, ...]]:
+        """What two findings have in common that are estimates of one mistake."""
+        return self.code, self.key, self.cameras
+
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """A hypothesis that is likely enough, with the ``gain`` of the log likelihood under it.
 
-    ``text`` is empty where stated sigmas explain it.
+    ``text`` is empty where stated sigmas explain it. ``beyond_datums``: heights differ by more than
+    another datum or feet explain.
     """
 
     hypothesis: PossibleMistake
@@ -85,6 +91,7 @@ class Explanation:
     intersection: Intersection
     gain: float
     text: str
+    beyond_datums: bool = False
 
 
 def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]]:
@@ -117,10 +124,7 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
             continue
         finding = finding_of(mission, explanations)
         # What is estimated once more is said once.
-        place = (finding.code, finding.key, finding.cameras)
-        findings = [
-            earlier for earlier in findings if (earlier.code, earlier.key, earlier.cameras) != place
-        ]
+        findings = [earlier for earlier in findings if earlier.subject != finding.subject]
         findings.append(finding)
 
     sigma_factor = findings[-1].sigma_factor if findings else by_rays_alone.sigma_factor
@@ -159,7 +163,7 @@ def finding_of(mission: StatedMission, explanations: list[Explanation]) -> Findi
         also=tuple(also.values()),
         cameras=hypothesis.cameras,
         label=hypothesis.label,
-        beyond_datums=best.text.endswith(BEYOND_DATUMS),
+        beyond_datums=best.beyond_datums,
     )
 
 
@@ -192,7 +196,15 @@ def likely_explanations(
         gain = explained.log_likelihood - intersection.log_likelihood
         if gain + min(0.0, estimated.log_odds) > LOG_RATIO_NEEDED:
             text = error_in_words(mission, estimated, explained, sigma)
-            explanations.append(Explanation(estimated, reading, explained, gain, text))
+            explanation = Explanation(
+                hypothesis=estimated,
+                reading=reading,
+                intersection=explained,
+                gain=gain,
+                text=text,
+                beyond_datums=is_beyond_datums(mission, estimated, explained, sigma),
+            )
+            explanations.append(explanation)
     return explanations
 
 

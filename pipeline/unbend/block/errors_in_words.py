@@ -37,7 +37,6 @@ CERTAIN_FOCAL = 0.005
 SLOWEST_M_S = 0.1  # of stations: hovering gives a time no sigma without end
 SAME_HEIGHT = 0.05  # of a height: a named one that is nearer is the likely one
 LARGEST_DATUM_M = 120.0  # that heights differ by from datum to datum: undulations reach 107 m
-BEYOND_DATUMS = ", by more than a datum explains"
 LEAP_SECONDS = (17.0, 19.0)  # between which a delay is that of GPS time against UTC
 
 
@@ -154,8 +153,7 @@ def height_in_words(
 ) -> str:
     """Stations too low or too high, and what is known to make them so."""
     up_m = hypothesis.reading.up_m
-    shared_sigma_m = shared_height_sigma_m(mission, intersection)
-    explained_m = EXPLAINED_SIGMAS * float(np.hypot(sigma, shared_sigma_m))
+    explained_m = explained_height_m(mission, intersection, sigma)
     if not abs(up_m) > max(SMALLEST_HEIGHT * intersection.flying_height_m, explained_m):
         return ""
     direction = "low" if up_m > 0 else "high"
@@ -163,13 +161,39 @@ def height_in_words(
         f"the stations are {abs(up_m):.1f} m +- {sigma:.2g} too {direction} above the given "
         "heights of the ground"
     )
+    known = cause_of_height(mission, up_m, explained_m)
+    if known:
+        text += f", as if {known}"
+    elif is_beyond_datums(mission, hypothesis, intersection, sigma):
+        text += ", by more than a datum explains"
+    return text
+
+
+def explained_height_m(mission: StatedMission, intersection: Intersection, sigma: float) -> float:
+    """By how much heights may be off [m] by their sigmas alone."""
+    shared_sigma_m = shared_height_sigma_m(mission, intersection)
+    return EXPLAINED_SIGMAS * float(np.hypot(sigma, shared_sigma_m))
+
+
+def cause_of_height(mission: StatedMission, up_m: float, explained_m: float) -> str:
+    """What is known to make heights wrong by as much, in words; empty for nothing."""
     apart_m = {name: abs(named_m - up_m) for name, named_m in mission.other_heights_m.items()}
     nearest = min(apart_m, key=lambda name: apart_m[name], default="")
     if nearest and apart_m[nearest] < max(SAME_HEIGHT * abs(up_m), explained_m):
-        return text + f", as if {nearest}"
-    if abs(up_m) - explained_m > LARGEST_DATUM_M:
-        text += BEYOND_DATUMS
-    return text
+        return nearest
+    return ""
+
+
+def is_beyond_datums(
+    mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection, sigma: float
+) -> bool:
+    """Whether heights of the stations differ by more than another datum or feet explain."""
+    if hypothesis.code != "TIES-HEIGHT":
+        return False
+    up_m = hypothesis.reading.up_m
+    explained_m = explained_height_m(mission, intersection, sigma)
+    has_cause = cause_of_height(mission, up_m, explained_m) != ""
+    return not has_cause and abs(up_m) - explained_m > LARGEST_DATUM_M
 
 
 def time_in_words(

@@ -370,8 +370,7 @@ def small_errors(
 
     ``intersection`` is that of the ``reading``.
     """
-    camera_of_image = intersection.orientations.camera
-    names = [name for name in reading.cameras if np.any(camera_of_image == name)]
+    names = flown_cameras(reading, intersection.orientations)
     for name in names:
         vector, covariance = intersection.camera_rotation(name)
         chi_square = vector @ np.linalg.pinv(covariance, hermitian=True) @ vector
@@ -387,7 +386,7 @@ def small_errors(
             hypotheses.append(radial_distortion(reading, group))
     if mission.shifted is not None:
         hypotheses.append(later_exposures(reading, 0.0))
-    beside = np.zeros((camera_of_image.size, 6, 0))
+    beside = np.zeros((intersection.orientations.camera.size, 6, 0))
     for estimate in linear_estimates(mission, reading, intersection, hypotheses, beside):
         if estimate.gain >= least_gain:
             yield with_linear_amount(estimate)
@@ -401,13 +400,17 @@ def with_linear_amount(estimate: LinearEstimate) -> PossibleMistake:
     return hypothesis
 
 
+def flown_cameras(reading: Reading, orientations: Orientations) -> list[str]:
+    """The names of the cameras that took images with these orientations."""
+    return [name for name in reading.cameras if np.any(orientations.camera == name)]
+
+
 def large_mistakes(mission: StatedMission, reading: Reading) -> Iterator[PossibleMistake]:
     """Large mistakes that users make, each as far as it changes anything."""
     for name in reading.cameras:
         yield from mistaken_mounts(mission, reading, name)
         yield from mistaken_focals(reading, name)
-    flown = [name for name in reading.cameras if np.any(mission.orientations.camera == name)]
-    for group in each_and_all(flown):
+    for group in each_and_all(flown_cameras(reading, mission.orientations)):
         for axes in ("exchanged", "upward"):
             yield other_pixel_axes(reading, group, axes)
     for first, second in combinations(reading.cameras, 2):

@@ -187,7 +187,8 @@ def refraction_angle(
     profile : the air, from `standard_atmosphere` or a mission, or the name of a standard
         atmosphere.
     h_c, h_g : heights of camera and target above sea level [m]; ``h_g`` may lie above ``h_c``.
-    zeta_c : apparent nadir angle [rad], 0 to pi. Numbers outside are refused: they are degrees.
+    zeta_c : apparent nadir angle [rad], 0 to pi. Numbers outside are refused (RAY-BAD-MEASUREMENT):
+        they may be degrees.
     radius, distance : as for `bend`.
     method : one of `METHODS`; all but ``spherical`` are those of `unbend.refraction.published`.
 

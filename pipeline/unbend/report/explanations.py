@@ -169,11 +169,14 @@ def _word_lines(word: str) -> list[str]:
 
 
 def _value_lines(word: str) -> list[str]:
-    """What the keys that take a word as their value are; the first 8, and the names of others."""
+    """What the keys that take a word as their value are; the first 8, and the names of others.
+
+    The word is in lower case, values such as ``OPENCV`` in any.
+    """
     keys = [*mission_keys(), *campaign_keys()]
     taking = []
     for key in keys:
-        if word in _values_of(key):
+        if word in map(str.lower, _values_of(key)):
             taking.append(key)
     if not taking:
         return []

@@ -16,6 +16,7 @@ from unbend.atmosphere.refractive_index import IndexModel
 from unbend.atmosphere.series.profile_series import ProfileSeries, TimedProfile
 from unbend.batch.finished_run import messages
 from unbend.config import Mission
+from unbend.config.mistakes import sentences_of
 from unbend.flight.stations import NO_TIME, SUSPECT, Stations
 from unbend.geodesy import Gravity
 from unbend.tables.manifest.file_names import MANIFEST
@@ -33,17 +34,18 @@ def mission_of(manifest: Manifest, path: Path) -> Mission:
         raise messages.config_not_understood(
             path=str(path / MANIFEST),
             mistakes=error.error_count(),
-            first=first_mistake(error),
+            first=first_mistake(error, dict(manifest.run.config)),
         ) from None
 
 
-def first_mistake(error: ValidationError) -> str:
-    """The first key that a model refuses, and why."""
-    mistake = error.errors(include_url=False)[0]
-    places = map(str, mistake["loc"])
-    key = ".".join(places)
-    reason = mistake["msg"]
-    return f"{key}: {reason}"
+def first_mistake(error: ValidationError, config: dict[str, Any]) -> str:
+    """One of the keys of a mission file that its model refuses, and why."""
+    sentences = sentences_of(
+        error.errors(include_url=False),
+        config,
+        node=None,
+    )
+    return sentences[0] if sentences else ""
 
 
 def numbers_of(table: pa.Table, name: str) -> Array:
