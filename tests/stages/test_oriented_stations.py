@@ -666,6 +666,28 @@ def test_tie_points_tell_the_inverse_of_a_quaternion(true_table, crossing_lines,
     assert ties.kind == "note"
 
 
+def test_radians_without_tie_points_are_noticed(true_table, crossing_lines):
+    folder, sections, _ = crossing_lines
+    observations = pd.read_parquet(folder / sections["observations"]["path"])
+    observations["point"] = observations.index.astype(str)
+    observations.to_parquet(folder / "unnamed.parquet", index=False)
+    config = copy.deepcopy(sections)
+    config["observations"]["path"] = "unnamed.parquet"
+    config["stations"] = {"orientation": ORIENTATION | {"path": "unnamed.csv"}}
+    (folder / "unnamed.yaml").write_text(yaml.safe_dump(config), "utf-8")
+
+    def units_of(table):
+        table.to_csv(folder / "unnamed.csv", index=False)
+        mission = read_mission(folder / "unnamed.yaml")
+        return with_code(mission.ledger, "ORIENTATION-UNIT")
+
+    assert not units_of(true_table)
+    true_table[OPK] = np.radians(true_table[OPK])
+    found = units_of(true_table)
+    assert {message.kind for message in found} == {"finding"}
+    assert "nadir" in {message.values["camera"] for message in found}
+
+
 def add_noise(table, sigma_deg):
     draw = np.random.default_rng(1)
     table["omega"] += draw.normal(0.0, sigma_deg, len(table))

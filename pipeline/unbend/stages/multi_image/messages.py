@@ -928,6 +928,32 @@ def orientation_unchecked(*, where: str, count: int, needed: int) -> Message:
     )
 
 
+ORIENTATION_UNIT = Code(
+    "ORIENTATION-UNIT",
+    means=(
+        "The headings of a table of orientations follow the flight lines if its angles are "
+        "radians, and not in the stated unit."
+    ),
+    effect="The correction is kept. The run ends with exit code 3.",
+    remedy="State stations.orientation.unit: rad.",
+)
+
+
+def orientation_unit(*, where: str, camera: str, count: int, unit: str) -> Message:
+    """Angles that are radians, by the direction of the flight lines."""
+    return finding(
+        ORIENTATION_UNIT,
+        (
+            "the headings of {count} images of {camera} follow the flight lines in radians, not in "
+            "the stated unit {unit}: likely radians ({where})"
+        ),
+        where=where,
+        camera=camera,
+        count=count,
+        unit=unit,
+    )
+
+
 CERTAIN_DECADES = 6.0
 """What is 10^6 times as likely as its rival is practically certain: beyond it the number says more
 of the model of errors than of the flight."""

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from unbend.block import oriented_images
+from unbend.block.angle_unit import are_radians
 from unbend.block.oriented_images import CartesianFrame, OrientedImages
 from unbend.config import Mission
 from unbend.config.orientations import OrientationSection
@@ -14,7 +15,7 @@ from unbend.flight import heights, rotations
 from unbend.flight.heights import GeodeticOrigin
 from unbend.flight.image_names import renamed
 from unbend.flight.stations import NO_TIME, Stations
-from unbend.messages import Kind, Ledger
+from unbend.messages import Kind, Ledger, Message
 from unbend.stages.exposure_events import camera_of_rows
 from unbend.stages.flight_log import FlightLog
 from unbend.stages.multi_image import messages
@@ -37,7 +38,7 @@ from unbend.tables.imports.exif import gimbal_of_rpy, rpy_of_gimbal
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints, tie_rays
-from unbend.units import DEGREE, Array, Integers
+from unbend.units import DEGREE, RADIANS, Array, Integers
 
 FEW_WRONG = 0.1  # share of the stations: so many may be wrong alone, below ground or too high
 HIGHEST_ABOVE_GROUND_M = 15_000.0  # no survey is flown higher, in the median
@@ -103,10 +104,40 @@ def oriented_stations(
                 where=str(section.path), count=tie_points, needed=FEWEST_TIE_POINTS
             )
         )
+        ledger.extend(unit_of_angles(section, table, stations))
         return stations
     readings = other_readings(section, table, reader)
     refuse_other_reading(stations, readings, rays, where=section.path)
     return stations
+
+
+def unit_of_angles(
+    section: OrientationSection, table: OrientationTable, stations: Stations
+) -> Iterator[Message]:
+    """A finding (ORIENTATION-UNIT) for each camera whose angles follow the flight only as radians.
+
+    ``stations`` are those of the table, in its order.
+    """
+    if section.unit == "rad" or section.angles.startswith("quaternion"):
+        return
+    as_in_file = table.angles / RADIANS[section.unit]
+    heading_sign = 1.0 if section.angles == "roll_pitch_yaw" else -1.0
+    for camera in dict.fromkeys(stations.camera):
+        rows = stations.camera == camera
+        radians = are_radians(
+            as_in_file[rows],
+            heading_sign,
+            stations.lat_rad[rows],
+            stations.lon_rad[rows],
+            usable=stations.ok[rows],
+        )
+        if radians:
+            yield messages.orientation_unit(
+                where=f"{SECTION}.unit",
+                camera=camera or "the camera",
+                count=int(rows.sum()),
+                unit=section.unit,
+            )
 
 
 def has_ground_heights(mission: Mission, ties: TiePoints) -> bool:
