@@ -232,6 +232,13 @@ def test_open_questions_are_named_exactly_and_nothing_that_follows_from_them(ref
     assert "co2_ppm: 'much'" in refusal(tree).what
 
 
+def test_a_misspelt_key_with_todo_is_misspelt(refusal):
+    tree = copy.deepcopy(BASE)
+    tree["cameras"]["nadir"]["heigth_px"] = "TODO"
+
+    assert "cameras.nadir.heigth_px: unknown key; perhaps 'height_px'?" in refusal(tree).what
+
+
 def explosion():
     """Ten lists of ten of the list before."""
     text = "a: &a [x, x, x, x, x, x, x, x, x, x]\n"

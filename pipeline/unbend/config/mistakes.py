@@ -92,11 +92,15 @@ def sentences_of(
 
 def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> Iterator[Mistake]:
     """The open questions of a file, and what the models refuse of it for other reasons."""
+    is_campaign = "campaign" in values
     questions = open_questions(values)
     for place in questions:
-        yield Mistake(place, f"still TODO: allowed are {allowed_at(place)}", place)
+        sentence = f"still TODO: allowed are {allowed_at(place)}"
+        if not nodes_at(place):
+            sentence = _unknown_key(place, is_campaign=is_campaign)
+        yield Mistake(place, sentence, place)
     all_refused = [_refused(values, item) for item in items]
-    misspelt = _misspelt_keys(all_refused, is_campaign="campaign" in values)
+    misspelt = _misspelt_keys(all_refused, is_campaign=is_campaign)
     for refused in all_refused:
         # TODO is refused as a value too, and so may be the section around it.
         follows = any(_overlap(refused.place, question) for question in questions)
