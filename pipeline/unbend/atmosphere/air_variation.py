@@ -127,7 +127,7 @@ class Part:
     memory_h: float = math.inf
     reach_m: float = math.inf
 
-    def alike(self, hours: Array | float, metres: Array | float) -> Array:
+    def correlation_over(self, hours: Array | float, metres: Array | float) -> Array:
         """Correlation of the part over hours and metres."""
         in_time = np.divide(hours, self.memory_h)
         in_distance = np.divide(metres, self.reach_m)
@@ -146,7 +146,7 @@ class Part:
 
     def change(self, hours: Array | float, metres: Array | float = 0.0) -> "Part":
         """How the part changes in hours and over metres, which may be (k,) at its heights."""
-        growth = np.sqrt(2.0 * (1.0 - self.alike(hours, metres)))
+        growth = np.sqrt(2.0 * (1.0 - self.correlation_over(hours, metres)))
         return replace(self, sigma_k=self.sigma_k * growth)
 
 

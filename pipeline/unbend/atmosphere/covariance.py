@@ -3,7 +3,7 @@
 Layers meet in T_M and e/p, and are linear between their edges (`layers.stack_layers`). With phi_k
 the hat function of edge k, T_M(H) = sum of phi_k T_k and ln p(H) = ln p(anchor) - (G M0 / R*) *
 integral of dH / T_M, so that d ln p(H) / d T_k = (G M0 / R*) * integral from the anchor to H of
-phi_k / T_M^2 dH (`hypsometry.column`).
+phi_k / T_M^2 dH (`hypsometry.inverse_temperature_integral`).
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unbend.atmosphere import messages
-from unbend.atmosphere.hypsometry import column, hats
+from unbend.atmosphere.hypsometry import interpolation_weights, inverse_temperature_integral
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.units import VAPOUR_DEFICIT, Array
@@ -58,7 +58,7 @@ def air_jacobian(
     dryness = 1.0 - VAPOUR_DEFICIT * vapour
     partials = _index_partials(profile.index, t_m * dryness, p, vapour)
     by_t, by_log_p, by_fraction = partials
-    weights = hats(profile.layers.edge, profile.gravity.geopotential_height(h))
+    weights = interpolation_weights(profile.layers.edge, profile.gravity.geopotential_height(h))
     log_pressure = log_pressure_jacobian(profile, h, anchor_height_m)
     through_pressure = by_log_p[:, None] * log_pressure
     by_virtual = through_pressure + (by_t * dryness)[:, None] * weights
@@ -94,7 +94,7 @@ def log_pressure_jacobian(
     height = profile.gravity.geopotential_height(h)
     height = np.where(is_outside, np.nan, height)
     anchor = profile.gravity.geopotential_height(anchor_height_m)
-    _, gradient = column(
+    _, gradient = inverse_temperature_integral(
         profile.layers.edge,
         profile.layers.edge_temperature,
         np.append(height, anchor),
@@ -231,7 +231,7 @@ class ProfileCovariance:
     def _weights(self, h: Array) -> Array:
         """(n, k) weights of the edges at heights (n,) [m] between them."""
         height = self.profile.gravity.geopotential_height(h)
-        return hats(self.profile.layers.edge, height)
+        return interpolation_weights(self.profile.layers.edge, height)
 
     def log_pressure_by_virtual(self, h: Array) -> Array:
         """(n, k) derivatives of ln p at heights (n,) [m] by T_M at the edges [1/K]."""

@@ -68,7 +68,7 @@ def fall_of_pressure(
     return Fall(-HYDROSTATIC_CONSTANT / slope, unexplained)
 
 
-def column(
+def inverse_temperature_integral(
     edge: Array,
     virtual: Array,
     height: Array,
@@ -84,7 +84,7 @@ def column(
     3 x^2/4 - ...; by T_0 it is what that leaves of -D/(T_0 T_1).
 
     >>> edge, virtual = np.array([0.0, 1000.0]), np.array([250.0, 250.0])
-    >>> integral, gradient = column(edge, virtual, np.array([500.0]))
+    >>> integral, gradient = inverse_temperature_integral(edge, virtual, np.array([500.0]))
     >>> integral.tolist(), (gradient * 250.0**2).round(9).tolist()
     ([2.0], [[-375.0, -125.0]])
     """
@@ -112,10 +112,10 @@ def column(
     return integral, gradient
 
 
-def hats(knot: Array, x: Array) -> Array:
+def interpolation_weights(knot: Array, x: Array) -> Array:
     """(m, k) weights of linear interpolation between knots, constant beyond them.
 
-    >>> hats(np.array([0.0, 2.0, 4.0]), np.array([0.5, 5.0])).tolist()
+    >>> interpolation_weights(np.array([0.0, 2.0, 4.0]), np.array([0.5, 5.0])).tolist()
     [[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]]
     """
     weights = np.zeros((x.size, knot.size))

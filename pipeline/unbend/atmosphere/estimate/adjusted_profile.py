@@ -91,13 +91,13 @@ class Adjustment:
     @property
     def barometer_errors(self) -> BarometerErrors:
         """Those that the flight has determined; none without a barometer."""
-        if self.settings is None or self.settings.highest is None:
+        if self.settings is None or self.settings.highest_log_p is None:
             return NO_ERRORS
         values = {fault.fault: fault.value for fault in self.faults}
         return BarometerErrors(
             offset_pa=values.get(SensorFault.PRESSURE_OFFSET, 0.0),
             lost_share=values.get(SensorFault.PRESSURE_SCALE, 0.0),
-            highest_pa=math.exp(self.settings.highest),
+            highest_pa=math.exp(self.settings.highest_log_p),
         )
 
 
@@ -311,7 +311,7 @@ def _adjusted(
     ledger.extend(sensor_checks.check_calibration(made, settings, estimate_with))
     for readings in made.readings.sets:
         if isinstance(readings, sensors.Barometer):  # pressure changes since here, in parts too
-            settings = replace(settings, highest=readings.highest)
+            settings = replace(settings, highest_log_p=readings.highest_log_p)
     rejected = _rejected_samples(sources.given, sources.usable, made.readings.rejected)
     return Adjustment(
         profile=profile,

@@ -13,7 +13,12 @@ from unbend.atmosphere.estimate import external_readings, messages
 from unbend.atmosphere.estimate.sensors import Barometer, Humidities, Readings, Thermometer
 from unbend.atmosphere.estimate.solver import Estimate, layout_of, solve
 from unbend.atmosphere.estimate.state import AirAtKnots, air_of, prior_of
-from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M, COLDEST_K, WARMEST_K, hats
+from unbend.atmosphere.hypsometry import (
+    ADIABATIC_K_PER_M,
+    COLDEST_K,
+    WARMEST_K,
+    interpolation_weights,
+)
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.level_checks import DRIEST_RH
@@ -117,7 +122,9 @@ def _does_not_overturn(made: Estimate, height: Array) -> Check:
     t = made.profile.temperature(h)
     edge = made.profile.layers.edge
     # One sigma of T(h) - T(h + 500 m) [K]; that of T_M stands for it.
-    weights = hats(edge, height[:-steps]) - hats(edge, height[steps:])
+    weights = interpolation_weights(edge, height[:-steps]) - interpolation_weights(
+        edge, height[steps:]
+    )
     matrix = made.covariance.matrix[: edge.size, : edge.size]
     sigma = np.sqrt(np.einsum("ij,ij->i", weights @ matrix, weights))
     fall = t[:-steps] - t[steps:]
@@ -204,9 +211,9 @@ def column_agrees(
 
     # The variance of the mean of T(h); that of T_M stands for it.
     edge = own.profile.layers.edge
-    of_flight = hats(edge, height).mean(axis=0)
+    of_flight = interpolation_weights(edge, height).mean(axis=0)
     matrix = own.covariance.matrix[: edge.size, : edge.size]
-    of_departure = hats(departure.knot, height).mean(axis=0)
+    of_departure = interpolation_weights(departure.knot, height).mean(axis=0)
     variance = of_flight @ matrix @ of_flight
     variance += of_departure @ departure.covariance(background) @ of_departure
     sigma = float(np.sqrt(variance + external_readings.LEVEL_K**2))

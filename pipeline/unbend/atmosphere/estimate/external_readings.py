@@ -236,11 +236,14 @@ def sounding_departures(
             used[departure_name(number)] = sounding
     departures = []
     for name, sounding in used.items():
-        beside = {}
+        from_others = {}
         for other_name, other in used.items():
             if other_name != name:
-                beside[other_name] = separation(sounding, other, flight)
-        departures.append(departure_of(sounding, name, background, flight, beside=beside))
+                from_others[other_name] = separation(sounding, other, flight)
+        departure = departure_of(
+            sounding, name, background, flight, from_other_soundings=from_others
+        )
+        departures.append(departure)
     return tuple(departures)
 
 
@@ -250,11 +253,12 @@ def departure_of(
     background: Climatology,
     flight: TimeAndPlace,
     *,
-    beside: Mapping[str, Separation],
+    from_other_soundings: Mapping[str, Separation],
 ) -> Departure:
-    """How temperatures of a column depart from those of the flight.
+    """Prior of how temperatures of a sounding or model column depart from those of the flight.
 
-    ``beside``: the separations of the other columns from it, by their names.
+    ``name``: of the departure. ``from_other_soundings``: separations of this column from the
+    others, by the names of their departures.
     """
     gravity = background.profile.gravity
     levels = gravity.geopotential_height(sounding.h_m)
@@ -272,8 +276,8 @@ def departure_of(
         expected_k=-background.warming_since(then, h),
         parts=background.parts_at(then),
         errors=errors,
-        apart=Separation(*hours_and_metres(sounding, flight)),
-        beside=beside,
+        from_flight=Separation(*hours_and_metres(sounding, flight)),
+        from_other_soundings=from_other_soundings,
     )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.covariance import ProfileCovariance, plane_rule
-from unbend.atmosphere.hypsometry import hats
+from unbend.atmosphere.hypsometry import interpolation_weights
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
@@ -357,7 +357,7 @@ def _covariance_at(covariance: ProfileCovariance, edge: Array, anchor: float) ->
     layers = covariance.profile.layers
     k = layers.edge.size
     size = edge.size
-    weights = hats(layers.edge, edge)
+    weights = interpolation_weights(layers.edge, edge)
     anchor_h = np.atleast_1d(covariance.profile.gravity.height(anchor))
     by_state = np.zeros((2 * size + 1, 2 * k + 1))
     by_state[:size, :k] = weights

@@ -260,7 +260,7 @@ def _air_of_part(
     if _deciding_sensor(part) is None:
         return None, "nothing was measured then"
     faults = [_less_certain(fault) for fault in whole.faults]
-    made = estimate(part, background, settings=whole.settings, known=faults)
+    made = estimate(part, background, settings=whole.settings, known_faults=faults)
     if not made.converged:
         return None, "its estimate did not converge"
     if whole.moisture is not None:
