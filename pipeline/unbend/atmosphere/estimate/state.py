@@ -274,11 +274,7 @@ class Prior:
         return replace(self, precision=precision)
 
 
-def prior_of(
-    layout: Layout,
-    background: Climatology,
-    moisture: Climatology,
-) -> Prior:
+def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> Prior:
     """The prior of a state: mean and precision.
 
     Temperature and pressure are those of ``background``, humidity that of ``moisture``; the sensor
@@ -327,11 +323,7 @@ def _rows_of_air(layout: Layout) -> Rows:
     return np.concatenate(rows_of_air)
 
 
-def _humidity_covariance(
-    humid: Array,
-    humid_h: Array,
-    moisture: Climatology,
-) -> Array:
+def _humidity_covariance(humid: Array, humid_h: Array, moisture: Climatology) -> Array:
     """(j, j) prior covariance of relative humidity at its knots, the last of them dry.
 
     ``humid`` (j,): the knots [m']; ``humid_h`` (j,): their heights above sea level [m].
@@ -343,9 +335,7 @@ def _humidity_covariance(
 
 
 def joint_covariance(
-    background: Climatology,
-    knot: Array,
-    departures: Sequence[Departure],
+    background: Climatology, knot: Array, departures: Sequence[Departure]
 ) -> Array:
     """Prior covariance [K2] of the flight's temperatures and of soundings' departures from them.
 
@@ -471,12 +461,7 @@ class AirAtKnots:
         return reference_log_p - fall, jacobian
 
 
-def air_of(
-    layout: Layout,
-    x: Array,
-    pressure: Array,
-    constant: float,
-) -> AirAtKnots:
+def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> AirAtKnots:
     """The air of a state ``x`` (s,), with derivatives; ``constant`` is G M0/R* [K/m'].
 
     T_M = T/(1 - 0.378 v), v = e/p = RH f(T, p) e_s(T)/p. ``pressure`` (k,) at the knots [Pa] is
