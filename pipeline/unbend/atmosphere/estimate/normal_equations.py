@@ -23,7 +23,7 @@ _DRIFT_FREEDOM = 1.0  # degrees of freedom of a drift's expected variance, its w
 _EXPECTED_SQUARE = 0.786  # mean weighted square of a normal residual under Student's weights
 _MOST_CORRELATED = 0.8  # the few bins of a flight do not determine more
 _CORRELATED = 0.2  # neighbouring residuals that correlate more than this are not independent
-_FEWEST_TO_INFLATE = 5  # readings of a set whose scatter says anything of their sigmas
+_FEWEST_TO_INFLATE = 5  # the sigmas of a set with fewer readings are not inflated
 
 
 @dataclass(frozen=True)

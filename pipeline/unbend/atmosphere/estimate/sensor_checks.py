@@ -26,9 +26,8 @@ STUCK_M = 300.0  # equal readings over so much height are of a sensor that is st
 FEWEST_STUCK = 5  # if there are so many
 
 SLOWEST_CHANGE = {"temperature": 2e-3, "pressure": 5.0, "humidity": 1e-4}
-"""Smallest usual change with height [K/m, Pa/m, 1/m]: a sensor may read the same over its resolution
-divided by this. A thermometer that reports whole degrees may do so over 500 m more than `STUCK_M`,
-as in isothermal air."""
+"""Change with height that the resolution of a sensor may hide [K/m, Pa/m, 1/m]: a thermometer that
+reports whole degrees may read the same over 800 m of isothermal air, 500 m more than `STUCK_M`."""
 
 # Beyond these relative humidities a constant reading is plausible.
 DRY = 0.02
