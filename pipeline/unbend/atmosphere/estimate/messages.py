@@ -291,7 +291,7 @@ def air_overturns(*, lapse: float, height_m: float) -> str:
 
 
 def no_information(*, percent: float) -> str:
-    """Why a barometer's air is not used: R is as uncertain as before, to ``percent`` of its sigma."""
+    """Why a barometer's air is not used: ``percent`` of the sigma of R remain."""
     return f"it has no information on temperature: {percent:.0f} % of the sigma of R remain"
 
 
