@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import refused, with_code
 from tests.ingest.written_logs import ULogWriter, entry_in, loss_codes
-from unbend.atmosphere.estimate.sensors import dynamic_pressure, airspeed_heating
+from unbend.atmosphere.estimate.sensors import airspeed_heating, dynamic_pressure
 
 NOW_US = 1_700_000_000_000_000
 SHOT = "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;"

@@ -16,7 +16,8 @@ import numpy as np
 from unbend.atmosphere.air_variation import SPRING, changes, sigma_of, solar_hour, variation_parts
 from unbend.atmosphere.climatology import Climatology
 from unbend.atmosphere.estimate import messages, sensors
-from unbend.atmosphere.estimate.state import TOP_M, Departure, Drift, Separation, exponential
+from unbend.atmosphere.estimate.knots import TOP_M
+from unbend.atmosphere.estimate.state import Departure, Drift, Separation, exponential
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.surface_report import SurfaceReport

@@ -19,13 +19,14 @@ from unbend.atmosphere.estimate.binning import (
     resolution_of,
 )
 from unbend.atmosphere.estimate.hypotheses import RARE_FAULTS, RareFault
+from unbend.atmosphere.estimate.knots import TOP_M
 from unbend.atmosphere.estimate.sensor_drifts import (
     barometer_drift,
     drift_knots,
     thermometer_drift,
 )
 from unbend.atmosphere.estimate.sensors import Readings, SensorCalibration, SensorSettings
-from unbend.atmosphere.estimate.state import TOP_M, Departure, Drift, Fault, SensorFault
+from unbend.atmosphere.estimate.state import Departure, Drift, Fault, SensorFault
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.rejection import Reason, Reasons, with_reason
 from unbend.atmosphere.soundings import Sounding

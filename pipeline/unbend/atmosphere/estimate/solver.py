@@ -16,6 +16,7 @@ from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate import hypotheses
 from unbend.atmosphere.estimate.external_readings import TimeAndPlace
 from unbend.atmosphere.estimate.hypotheses import Evidence, Hypothesis
+from unbend.atmosphere.estimate.knots import place_humid_knots, place_knots
 from unbend.atmosphere.estimate.normal_equations import (
     HUBER_STEPS,
     Fit,
@@ -30,8 +31,6 @@ from unbend.atmosphere.estimate.state import (
     Prior,
     SensorFault,
     air_of,
-    place_humid_knots,
-    place_knots,
     prior_of,
 )
 from unbend.atmosphere.layers import RELAXED, stack_layers

@@ -17,19 +17,6 @@ from unbend.atmosphere.hypsometry import interpolation_weights, inverse_temperat
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from unbend.units import VAPOUR_DEFICIT, Array, Rows
 
-FINEST_M = 50.0
-MOST_FINE = 200
-"""Knots where something was sampled: 50 m' apart, or so far that there are no more than these."""
-
-MARGIN_M = 100.0  # fine knots go on so far beyond the samples [m']
-WIDENING = 1.25  # farther from the samples, each layer is so many times thicker than the last
-WIDEST_M = 750.0  # and at most so thick [m']
-TOP_M = 32_000.0  # above, the background's own breakpoints suffice [m']
-
-HUMID_M = 250.0  # between knots of humidity [m']
-HUMID_TOP_M = 15_000.0  # above, vapour weighs less than 1e-5 of n - 1 [m']
-HUMID_BOTTOM_M = -4000.0
-
 _LOWEST_K = 140.0  # of a state; no air is colder, or warmer than 360 K
 _HIGHEST_K = 360.0
 _DRY_RH = 1e-4  # one sigma of relative humidity at the highest knot
@@ -210,50 +197,6 @@ class Layout:
         return x
 
 
-def place_knots(low: float, high: float, edge: Array) -> Array:
-    """Knots [m'] of temperature: fine from ``low`` to ``high``, wider and wider beyond.
-
-    ``low``, ``high``: lowest and highest measurement [m']. ``edge``: breakpoints of the background
-    [m'], increasing; all of them are knots too, and the first and last are the ends.
-
-    >>> place_knots(0.0, 200.0, np.array([-5000.0, 11e3, 20e3]))[14:20].round().tolist()
-    [-100.0, -50.0, 0.0, 50.0, 100.0, 150.0]
-    """
-    low = max(low - MARGIN_M, edge[0] + MARGIN_M)
-    high = min(high + MARGIN_M, edge[-1] - MARGIN_M)
-    least_step = max(FINEST_M, (high - low) / MOST_FINE)
-    steps = max(1, round((high - low) / least_step))
-    fine = np.linspace(low, high, 1 + steps)
-    step = fine[1] - fine[0]
-
-    thickness = np.minimum(step * WIDENING ** np.arange(1, 100), WIDEST_M)
-    distance = np.cumsum(thickness)
-    above = high + distance
-    above = above[above < min(TOP_M, edge[-1] - step)]
-    below = low - distance
-    below = below[below > edge[0] + step]
-
-    # A knot next to a breakpoint of the background would make a sliver of a layer.
-    knots = np.concatenate([below[::-1], fine, above])
-    to_nearest_edge = np.min(np.abs(knots[:, None] - edge[None, :]), axis=1)
-    is_apart = to_nearest_edge > 0.4 * step
-    return np.unique(np.concatenate([knots[is_apart], edge]))
-
-
-def place_humid_knots(low: float, high: float) -> Array:
-    """Knots [m'] of relative humidity: 250 m' apart about ``low`` to ``high``, 500 m' above.
-
-    ``low``, ``high``: lowest and highest measurement [m']. The air at the last knot is taken as
-    dry.
-    """
-    coarse_m = 2.0 * HUMID_M
-    bottom = max(low - coarse_m, HUMID_BOTTOM_M)
-    fine_top = min(high + coarse_m, HUMID_TOP_M - 3.0 * HUMID_M)
-    fine = np.arange(bottom, max(fine_top, bottom + HUMID_M), HUMID_M)
-    coarse = np.arange(fine[-1] + coarse_m, HUMID_TOP_M - HUMID_M, coarse_m)
-    return np.concatenate([fine, coarse, [HUMID_TOP_M]])
-
-
 @dataclass(frozen=True, eq=False)
 class Prior:
     """The state before any measurement: (s,) mean, (s, s) precision (inverse of the covariance B).
@@ -274,7 +217,11 @@ class Prior:
         return replace(self, precision=precision)
 
 
-def prior_of(layout: Layout, background: Climatology, moisture: Climatology) -> Prior:
+def prior_of(
+    layout: Layout,
+    background: Climatology,
+    moisture: Climatology,
+) -> Prior:
     """The prior of a state: mean and precision.
 
     Temperature and pressure are those of ``background``, humidity that of ``moisture``; the sensor
@@ -323,7 +270,11 @@ def _rows_of_air(layout: Layout) -> Rows:
     return np.concatenate(rows_of_air)
 
 
-def _humidity_covariance(humid: Array, humid_h: Array, moisture: Climatology) -> Array:
+def _humidity_covariance(
+    humid: Array,
+    humid_h: Array,
+    moisture: Climatology,
+) -> Array:
     """(j, j) prior covariance of relative humidity at its knots, the last of them dry.
 
     ``humid`` (j,): the knots [m']; ``humid_h`` (j,): their heights above sea level [m].
@@ -335,7 +286,9 @@ def _humidity_covariance(humid: Array, humid_h: Array, moisture: Climatology) ->
 
 
 def joint_covariance(
-    background: Climatology, knot: Array, departures: Sequence[Departure]
+    background: Climatology,
+    knot: Array,
+    departures: Sequence[Departure],
 ) -> Array:
     """Prior covariance [K2] of the flight's temperatures and of soundings' departures from them.
 
@@ -461,7 +414,12 @@ class AirAtKnots:
         return reference_log_p - fall, jacobian
 
 
-def air_of(layout: Layout, x: Array, pressure: Array, constant: float) -> AirAtKnots:
+def air_of(
+    layout: Layout,
+    x: Array,
+    pressure: Array,
+    constant: float,
+) -> AirAtKnots:
     """The air of a state ``x`` (s,), with derivatives; ``constant`` is G M0/R* [K/m'].
 
     T_M = T/(1 - 0.378 v), v = e/p = RH f(T, p) e_s(T)/p. ``pressure`` (k,) at the knots [Pa] is
