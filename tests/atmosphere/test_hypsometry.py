@@ -16,7 +16,7 @@ from unbend.atmosphere.covariance import (
     log_pressure_jacobian,
     plane_rule,
 )
-from unbend.atmosphere.hypsometry import column, hats
+from unbend.atmosphere.hypsometry import interpolation_weights, inverse_temperature_integral
 
 RISES = "1e-12 1e-9 1e-6 1e-3 0.0107 0.013 0.03 0.0499 0.0501 0.1 0.3 0.6"
 CHANGES = np.array(RISES.split(), float)
@@ -50,7 +50,7 @@ def test_a_layer_against_forty_digits(change, lower):
     edge = np.array([0.0, 1234.5])
     virtual = np.array([lower, lower * (1.0 + change)])
 
-    integral, gradient = column(edge, virtual, edge[1:])
+    integral, gradient = inverse_temperature_integral(edge, virtual, edge[1:])
 
     with mp.workdps(40):
         expected = part_of_layer(edge[1], virtual)
@@ -99,7 +99,7 @@ def test_a_column_against_forty_digits():
         ]
     )
 
-    integral, gradient = column(EDGE, VIRTUAL, height)
+    integral, gradient = inverse_temperature_integral(EDGE, VIRTUAL, height)
 
     with mp.workdps(40):
         expected = np.array([column_to(h) for h in height])
@@ -111,10 +111,10 @@ def test_a_column_against_forty_digits():
 def test_hats_are_linear_between_knots_and_constant_beyond():
     knot = np.array([-100.0, 0.0, 250.0, 1e4])
     x = [-1e6, -100.1, -100.0, -25.0, 0.0, 125.0, 9999.0, 1e4, 10_000.1, 1e9]
-    values = hats(knot, np.array(x)).T
+    values = interpolation_weights(knot, np.array(x)).T
     expected = [np.interp(x, knot, hat) for hat in np.eye(4)]
     assert_allclose(values, expected, rtol=1e-14, atol=1e-15)
-    assert_array_equal(hats(knot, knot), np.eye(4))
+    assert_array_equal(interpolation_weights(knot, knot), np.eye(4))
 
 
 # ---- heights outside the profile
@@ -148,7 +148,7 @@ def test_the_derivative_of_the_pressure_is_that_of_its_column():
     heights = [0.0, 9000.0, 25_000.0]
     ends = AIR.gravity.geopotential_height([3000.0, *heights])
     layers = AIR.layers
-    _, gradient = column(layers.edge, layers.edge_temperature, ends)
+    _, gradient = inverse_temperature_integral(layers.edge, layers.edge_temperature, ends)
     expected = -HYDROSTATIC_K_PER_M * (gradient[1:] - gradient[0])
     rows = log_pressure_jacobian(AIR, heights, 3000.0)
     assert_allclose(rows, expected, rtol=1e-12, atol=1e-18)

@@ -23,17 +23,17 @@ Record = TypeVar("Record", bound=Any)
 BIN_M = 50.0  # thickness of the layers where temperature was measured [m']
 
 _FEWEST_IN_BIN = 3
-_VISITED_BIN_M = 100.0  # heights of a bin count as visited together
-_CLIMB_SAMPLE_S = 15.0  # between heights whose differences add up to what a flight climbed
+_VISITED_BIN_M = 100.0  # thickness of the bins of `SensorSamples.middle_of_heights_ns`
+_CLIMB_SAMPLE_S = 15.0  # step in time of `SensorSamples.climbed_m`: shorter ones add up noise
 
 
 @dataclass(frozen=True, eq=False)
 class SensorSamples:
-    """One sensor's readings against height above sea level; (n,) arrays.
+    """One sensor's readings against height above sea level; (n,) arrays, in the order of time.
 
-    ``value`` in SI (K, Pa, or relative humidity 0-1). ``rejected`` says why a reading is not used,
-    0 where it is, as all are by default; one without value or height is rejected here. Those that
-    are not used are shown. ``removed`` are impossible samples of the sensor, which have no row.
+    ``value``: in SI (K, Pa, or relative humidity 0-1). ``rejected``: why a reading is not used, 0
+    if it is used; by default all are used. Readings without value or height are rejected here.
+    ``removed``: impossible samples of the sensor, which have no row in the arrays.
     """
 
     time_ns: Integers
@@ -57,15 +57,15 @@ class SensorSamples:
         return np.asarray(self.rejected == Reason.USED)
 
     def count(self, reason: Reason) -> int:
-        """How many readings have a reason."""
+        """How many readings are rejected for a reason."""
         return int(np.count_nonzero(self.rejected == reason))
 
     def reject(self, rows: Mask, reason: Reason) -> SensorSamples:
-        """The same without some readings, for a reason."""
+        """The samples with some more readings rejected, where ``rows`` is True, for a reason."""
         return replace(self, rejected=with_reason(self.rejected, rows, reason))
 
     def used(self) -> tuple[Array, Array]:
-        """Heights and values that were accepted."""
+        """Heights [m above sea level] and values of the accepted readings."""
         return self.h_m[self.accepted], self.value[self.accepted]
 
     @property
@@ -78,7 +78,7 @@ class SensorSamples:
 
     @property
     def climbed_m(self) -> float:
-        """Climb and descent together [m], from heights a quarter minute apart."""
+        """Sum of all climbs and descents [m], from heights 15 s apart."""
         has_height = np.isfinite(self.h_m)
         if has_height.sum() < 2:
             return 0.0
@@ -90,7 +90,7 @@ class SensorSamples:
 
     @property
     def middle_ns(self) -> int | None:
-        """Middle of the time that the accepted readings span [Unix ns]."""
+        """Middle of the time from first to last accepted reading [Unix ns]; None without any."""
         used = self.time_ns[self.accepted]
         if not used.size:
             return None
@@ -99,10 +99,10 @@ class SensorSamples:
 
     @property
     def middle_of_heights_ns(self) -> int | None:
-        """When the heights were visited [Unix ns]: each bin of 100 m has the same weight.
+        """Mean time at which the heights were visited [Unix ns]: mean over bins of 100 m.
 
-        A climb at the end of an hour of level flight measures the air of that time, not of half an
-        hour before.
+        A climb after an hour of level flight measures the air at the time of the climb, not of half
+        an hour before. None without accepted readings.
         """
         used = self.time_ns[self.accepted]
         if used.size == 0:
@@ -116,10 +116,10 @@ class SensorSamples:
 
 @dataclass(frozen=True, eq=False)
 class AirSamples:
-    """What a flight measured of the air outside; None where not known.
+    """What a flight measured of the air outside; None where it was not measured.
 
-    ``airspeed`` is indicated [m/s]; ``takeoff_ns`` the times [Unix ns] at which the aircraft left
-    the ground.
+    ``airspeed``: indicated [m/s]. ``takeoff_ns``: times at which the aircraft left the ground
+    [Unix ns]; empty if the log begins in the air, None if unknown.
     """
 
     temperature: SensorSamples | None = None
@@ -130,7 +130,7 @@ class AirSamples:
 
     @property
     def sensors(self) -> dict[str, SensorSamples]:
-        """Those of the air that there are, by their quantity."""
+        """The sensors of the air that there are, by quantity; without airspeed."""
         by_quantity = {
             "temperature": self.temperature,
             "pressure": self.pressure,
@@ -141,7 +141,7 @@ class AirSamples:
 
 @dataclass(frozen=True)
 class SensorUse:
-    """How many samples of a sensor are used, and of the others why they are not."""
+    """How many samples of a sensor there are, and how many are rejected for each reason."""
 
     quantity: str
     sensor: str
@@ -154,7 +154,7 @@ class SensorUse:
         return self.samples - sum(self.rejected.values())
 
     def sentence(self) -> str:
-        """For a person.
+        """The counts in words.
 
         >>> SensorUse("temperature", "HYGR[0]", 900, {Reason.NO_VALUE: 2}).sentence()
         'HYGR[0], temperature: 898 of 900 samples used; not used: 2 (no value)'
@@ -166,7 +166,10 @@ class SensorUse:
 
 
 def sensor_uses(samples: AirSamples, rejected: Mapping[str, Reasons]) -> tuple[SensorUse, ...]:
-    """The use of each sensor outside; ``rejected`` by quantity, where an estimate says more."""
+    """The use of each sensor of the air.
+
+    ``rejected``: reasons by quantity, also those of an estimate; they replace those of the samples.
+    """
     uses: list[SensorUse] = []
     for quantity, sensor in samples.sensors.items():
         reasons = rejected.get(quantity, sensor.rejected)
@@ -177,7 +180,7 @@ def sensor_uses(samples: AirSamples, rejected: Mapping[str, Reasons]) -> tuple[S
 
 
 def part_of(record: Record, rows: Mask | Rows | slice) -> Record:
-    """The same with some rows of all its arrays."""
+    """A copy of a dataclass in which each array has only some rows; other fields stay."""
     arrays = {}
     for name, value in vars(record).items():
         if isinstance(value, np.ndarray):
@@ -191,10 +194,12 @@ def bin_by_height(
     width: float,
     value: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Medians of the accepted readings in bins of height, climb and descent weighing alike.
+    """Medians of the accepted readings in bins of height; climb and descent have equal weight.
 
-    The lag of a sensor has opposite signs there. ``value`` replaces the readings themselves.
-    Returns mean heights [m'] and values of bins with three readings or more, from the ground up.
+    So the lag of a sensor cancels, which has opposite signs in climb and descent.
+    ``geopotential`` (n,): heights of the readings [m']; ``width``: of a bin [m']; ``value`` (n,):
+    what is averaged instead of the readings. Returns mean heights [m'] and values of the bins with
+    three readings or more, from the ground up.
     """
     seconds = np.asarray((samples.time_ns - samples.time_ns[:1]) * 1e-9, np.float64)
     readings = samples.value if value is None else value
@@ -202,15 +207,15 @@ def bin_by_height(
     is_rising = (climb_of(seconds, geopotential) >= 0.0)[use]
     height = geopotential[use]
     reading = readings[use]
-    number = np.floor(height / width).astype(np.int64)
-    order = np.argsort(number, kind="stable")
-    starts = np.flatnonzero(np.diff(number[order])) + 1
+    bin_number = np.floor(height / width).astype(np.int64)
+    order = np.argsort(bin_number, kind="stable")
+    starts = np.flatnonzero(np.diff(bin_number[order])) + 1  # of all bins but the first
     bins = []
-    for inside in np.split(order, starts):
-        if inside.size < _FEWEST_IN_BIN:
+    for rows_of_bin in np.split(order, starts):
+        if rows_of_bin.size < _FEWEST_IN_BIN:
             continue
         means = []
-        for rows in _climb_and_descent(inside, is_rising):
+        for rows in _climb_and_descent(rows_of_bin, is_rising):
             means.append((height[rows].mean(), np.median(reading[rows])))
         bins.append(np.mean(means, axis=0))
     heights, values = np.array(bins).reshape(-1, 2).T
@@ -218,7 +223,10 @@ def bin_by_height(
 
 
 def _climb_and_descent(rows: Rows, is_rising: Mask) -> list[Rows]:
-    """The readings of a bin in climb and in descent, as far as they are enough; else all."""
+    """The rows of a bin in climb and those in descent, without a part of fewer than three.
+
+    All rows together if neither part has three.
+    """
     climb = rows[is_rising[rows]]
     descent = rows[~is_rising[rows]]
     parts = [part for part in (climb, descent) if part.size >= _FEWEST_IN_BIN]
@@ -226,12 +234,15 @@ def _climb_and_descent(rows: Rows, is_rising: Mask) -> list[Rows]:
 
 
 def climb_of(seconds: Array, height: Array) -> Array:
-    """Height gained in the ten seconds around each sample, none where fewer than two are known."""
+    """(n,) height gained in the ten seconds around each sample; 0 with fewer than two heights.
+
+    ``seconds``, ``height`` (n,): times [s] and heights, NaN where unknown.
+    """
     has_height = np.isfinite(height)
     if has_height.sum() < 2:
         return np.zeros(seconds.shape)
-    known_s = seconds[has_height]
-    known_height = height[has_height]
-    before = np.interp(seconds - 5.0, known_s, known_height)
-    after = np.interp(seconds + 5.0, known_s, known_height)
+    finite_s = seconds[has_height]
+    finite_height = height[has_height]
+    before = np.interp(seconds - 5.0, finite_s, finite_height)
+    after = np.interp(seconds + 5.0, finite_s, finite_height)
     return np.asarray(after - before)

@@ -62,8 +62,8 @@ _MIXED_BY_DEGREES = {
 """How far a summer's afternoon mixes the lowest air."""
 
 _MIXED_IN_THE_EVENING = 1.5
-"""Air that was mixed stays so: after the warmest hour it is mixed by so many times the cosine of
-the hour, and in full for three hours."""
+"""Mixed air stays mixed: after the warmest hour the share of mixing is the cosine of the hour times
+this, at most 1, which it is for three hours."""
 
 _INVERSIONS_OF_WINTER = {
     250.0: 1.0,
@@ -72,9 +72,9 @@ _INVERSIONS_OF_WINTER = {
     3000.0: 1.0,
 }
 """Amplitude of layers and of the fine structure in mid-winter over that in spring and summer, at
-reduced heights [m]: inversions are lifted then. Over Vienna 65 pairs of ascents 12 hours apart err
-in R over 1 km by 1.24 sigma without it, 4.6 % of them by more than 3, and by 1.03 with it, 1.5 %;
-from April to June by 0.8."""
+reduced heights [m]: in winter inversions are lifted. In 65 pairs of ascents over Vienna 12 hours
+apart, R over 1 km errs by 1.24 sigma without this (4.6 % by more than 3) and by 1.03 with it
+(1.5 %); from April to June by 0.8."""
 
 _WINTER_BY_DEGREES = {
     25.0: 0.0,  # no winter
@@ -111,12 +111,12 @@ _NEAR_GROUND_M = (0.0, 15.0, 30.0, 50.0, 80.0, 120.0, 180.0, 300.0)
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part of what the air departs by.
+    """One independent part of the departure of temperature from the climatology.
 
     ``sigma_k`` (k,): its amplitude [K] at heights ``h_m`` (k,) above sea level, linear between and
-    constant beyond; where it has another sign, departures are opposite. ``length_m``: of its
-    correlation in height, exponential where it is ``kinked``, else Matern 3/2. ``memory_h``,
-    ``reach_m``: time and distance in which it falls to 1/e.
+    constant beyond; at heights with amplitudes of opposite signs, departures are opposite.
+    ``length_m``: correlation length in height; the correlation is exponential if ``kinked``, else
+    Matern 3/2. ``memory_h``, ``reach_m``: time and distance in which the correlation falls to 1/e.
     """
 
     name: str
@@ -127,16 +127,16 @@ class Part:
     memory_h: float = math.inf
     reach_m: float = math.inf
 
-    def alike(self, hours: Array | float, metres: Array | float) -> Array:
-        """Correlation of the part over hours and metres."""
+    def correlation_over(self, hours: Array | float, metres: Array | float) -> Array:
+        """Correlation of the part with itself after some hours and over some horizontal metres."""
         in_time = np.divide(hours, self.memory_h)
         in_distance = np.divide(metres, self.reach_m)
         return np.asarray(np.exp(-in_time - in_distance))
 
     def covariance(self, h: Array, other_h: Array, other: "Part | None" = None) -> Array:
-        """(n, m) covariance [K2] at heights (n,) and (m,) [m above sea level].
+        """(n, m) covariance [K2] at heights ``h`` (n,) and ``other_h`` (m,) [m above sea level].
 
-        At the second heights the part has the amplitude of the ``other``, at another hour.
+        ``other``: the same part with the amplitudes of another hour of the day, for ``other_h``.
         """
         other = other or self
         here = np.interp(h, self.h_m, self.sigma_k)
@@ -145,8 +145,12 @@ class Part:
         return np.outer(here, there) * correlation(apart, self.length_m, kinked=self.kinked)
 
     def change(self, hours: Array | float, metres: Array | float = 0.0) -> "Part":
-        """How the part changes in hours and over metres, which may be (k,) at its heights."""
-        growth = np.sqrt(2.0 * (1.0 - self.alike(hours, metres)))
+        """The part of the air's change in some hours and over some metres.
+
+        They may be (k,), at the heights of the part. Its amplitude is that of the difference of two
+        departures: sigma sqrt(2 (1 - correlation)).
+        """
+        growth = np.sqrt(2.0 * (1.0 - self.correlation_over(hours, metres)))
         return replace(self, sigma_k=self.sigma_k * growth)
 
 
@@ -154,7 +158,7 @@ Parts = tuple[Part, ...]
 
 
 def larger_part(part: Part, other: Part) -> Part:
-    """A part with the amplitude of another where that is larger, at the heights of the first."""
+    """A part with the amplitude of another at the heights where the other's is larger."""
     other_k = np.interp(part.h_m, other.h_m, other.sigma_k)
     is_larger = np.abs(other_k) > np.abs(part.sigma_k)
     return replace(part, sigma_k=np.where(is_larger, other_k, part.sigma_k))
@@ -175,7 +179,7 @@ def sigma_of(parts: Parts, h: Array) -> Array:
 
 
 def changes(parts: Parts, hours: float, metres: float = 0.0) -> Parts:
-    """How the air changes in hours and over metres.
+    """The parts of the air's change in some hours and over some metres (`Part.change`).
 
     >>> parts = variation_parts(0.8, 4.0, ground_h_m=0.0)
     >>> sigma_of(changes(parts, 12.0), np.array([1000.0, 5000.0])).round(0).tolist()
@@ -185,7 +189,10 @@ def changes(parts: Parts, hours: float, metres: float = 0.0) -> Parts:
 
 
 def correlation(apart_m: Array, length_m: float, *, kinked: bool) -> Array:
-    """Exponential where ``kinked``, else Matern 3/2: (1 + q) exp(-q), q = sqrt(3) d / length."""
+    """Correlation over a distance d in height [m].
+
+    exp(-d/length) if ``kinked``, else Matern 3/2: (1 + q) exp(-q), q = sqrt(3) d / length.
+    """
     if kinked:
         return np.asarray(np.exp(-apart_m / length_m))
     q = math.sqrt(3.0) * apart_m / length_m
@@ -195,7 +202,11 @@ def correlation(apart_m: Array, length_m: float, *, kinked: bool) -> Array:
 def variation_parts(
     latitude_rad: float, month: float, ground_h_m: float, hour: float | None = None
 ) -> Parts:
-    """The parts at a latitude, season and mean local time [h] over a ground [m above sea level]."""
+    """The parts of the air's departure at a latitude, season and hour.
+
+    ``month``: 1.0 is mid-January. ``ground_h_m``: height of the ground [m above sea level].
+    ``hour``: mean local time [h]; without it the lowest air is taken as not mixed.
+    """
     regular_m = np.arange(-1000.0, _TOP_M - ground_h_m, _STEP_M)
     h_m = ground_h_m + np.union1d(regular_m, _NEAR_GROUND_M)
     reduced_m = reduced_height(h_m, ground_h_m, tropopause_m(latitude_rad, month))
@@ -220,16 +231,16 @@ def variation_parts(
 
 
 def _shares_of_place(reduced_m: Array, latitude_rad: float, month: float) -> dict[str, Array]:
-    """Amplitude of each part, by its name, over that of the tables, at reduced heights (n,) [m]."""
+    """Factor (n,) of the tabulated amplitude of each part, by its name, at reduced heights [m]."""
     weather = np.full(reduced_m.shape, weather_share(latitude_rad))
     inverted = weather * inversions_of_season(reduced_m, latitude_rad, month)
     # Aloft the tables depart from the tropics as from other latitudes.
     aloft = np.clip((reduced_m - 1000.0) / 3000.0, 0.0, 1.0)
-    of_climate = weather + aloft * (np.maximum(weather, 1.0) - weather)
+    climate = weather + aloft * (np.maximum(weather, 1.0) - weather)
     return {
         "waves": weather,
         "layers": inverted,
-        "climate": of_climate,
+        "climate": climate,
         "ground": weather,
         "kinked": inverted,
         "smooth": inverted,
@@ -237,7 +248,9 @@ def _shares_of_place(reduced_m: Array, latitude_rad: float, month: float) -> dic
 
 
 def reduced_height(h_m: Array, ground_h_m: float, tropopause_h_m: float) -> Array:
-    """Height above the ground, stretched above 3 km so that the tropopause is at 11.5 km.
+    """Height above the ground [m], stretched above 3 km so that the tropopause is at 11.5 km.
+
+    ``h_m``, ``ground_h_m``, ``tropopause_h_m``: heights above sea level.
 
     >>> reduced_height(np.array([1500.0, 4500.0, 9500.0]), 500.0, 9500.0).tolist()
     [1000.0, 4416.666666666667, 11500.0]
@@ -271,17 +284,17 @@ def share_of_day(latitude_rad: float) -> float:
 
 
 def _at_latitude(by_degrees: Mapping[float, float], latitude_rad: float) -> float:
-    """A value at a latitude of either hemisphere, linear between those of a table."""
+    """The value of a table at a latitude of either hemisphere, linear between its degrees."""
     degrees = abs(latitude_rad) / DEGREE
     return float(np.interp(degrees, list(by_degrees), list(by_degrees.values())))
 
 
 def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
-    """Share of full mixing of the lowest air by the sun.
+    """How far the sun mixes the lowest air: 0 is not at all, 1 is fully mixed.
 
     1 on a mid-summer's afternoon up to 50 degrees of latitude, less towards 60 (snow). It follows
-    the height of the sun, and stays longer after the warmest hour. 0 at night, in mid-winter, and
-    where the mean local time [h] is not known.
+    the height of the sun, and decreases later after the warmest hour. 0 at night, in mid-winter,
+    and where the mean local time ``hour`` [h] is None.
 
     >>> [round(mixed_share(0.8, 7.0, hour), 2) for hour in (3.0, 10.0, 15.0, 18.0)]
     [0.0, 0.26, 1.0, 1.0]
@@ -297,7 +310,7 @@ def mixed_share(latitude_rad: float, month: float, hour: float | None) -> float:
 
 
 def inversions_of_season(reduced_m: Array, latitude_rad: float, month: float) -> Array:
-    """Amplitude of inversions at reduced heights (n,) [m] over that in spring and summer.
+    """(n,) amplitude of inversions over that in spring and summer, at reduced heights (n,) [m].
 
     >>> inversions_of_season(np.array([1000.0, 3000.0]), 0.8, 1.0).round(2).tolist()
     [1.35, 1.0]
@@ -311,14 +324,17 @@ def inversions_of_season(reduced_m: Array, latitude_rad: float, month: float) ->
 
 @dataclass(frozen=True)
 class DailyCycle:
-    """The lowest 3 km of a place and season beside the Supplements 1966, by the hour of the day."""
+    """How the lowest 3 km differ from the Supplements 1966, by place, season and hour of the day.
+
+    ``ground_h_m``: height of the ground [m above sea level].
+    """
 
     latitude_rad: float
     month: float
     ground_h_m: float = 0.0
 
     def mean_k(self, h_m: Array) -> Array:
-        """What the mean of day and night has beside the Supplements [K], at heights (n,) [m]."""
+        """Mean of day and night minus the Supplements [K], at heights (n,) [m above sea level]."""
         return self._between("winter_k", "summer_k", h_m)
 
     def by_hour_k(self, h_m: Array) -> Array:
@@ -326,7 +342,7 @@ class DailyCycle:
         return self._between("by_hour_winter_k", "by_hour_summer_k", h_m)
 
     def of_hour_k(self, h_m: Array, solar_hour: float | None) -> Array:
-        """What a mean local time [h] adds to the mean of day and night [K]; None adds nothing.
+        """Temperature at a mean local time [h] minus the mean of day and night [K]; 0 for None.
 
         >>> cycle = DailyCycle(0.8, 7.0)
         >>> bool(cycle.of_hour_k(np.zeros(1), 14.0)[0] > 4.0)
@@ -338,12 +354,15 @@ class DailyCycle:
         return self.by_hour_k(h_m) * math.cos(phase)
 
     def _between(self, winter: str, summer: str, h_m: Array) -> Array:
-        """A table between those of mid-winter and mid-summer, times the share of the latitude."""
+        """Values [K] between two tables, of mid-winter and mid-summer, at heights (n,) [m].
+
+        ``winter``, ``summer``: names of the tables. Times the share of the latitude.
+        """
         table = _tables()["daily"]
         winter_k = np.array(table[winter])
         summer_k = np.array(table[summer])
-        of_winter = 0.5 + 0.5 * season(self.latitude_rad, self.month)
-        values_k = of_winter * winter_k + (1.0 - of_winter) * summer_k
+        winter_share = 0.5 + 0.5 * season(self.latitude_rad, self.month)
+        values_k = winter_share * winter_k + (1.0 - winter_share) * summer_k
         above_ground_m = h_m - self.ground_h_m
         share = share_of_day(self.latitude_rad)
         return np.asarray(share * np.interp(above_ground_m, table["height_m"], values_k))
@@ -362,6 +381,6 @@ def solar_hour(time_ns: int | None, longitude_rad: float) -> float | None:
 
 @lru_cache(maxsize=1)
 def _tables() -> Mapping[str, Any]:
-    """The fitted numbers."""
+    """The fitted numbers of ``data/air_variation.toml``."""
     text = resources.files("unbend.atmosphere").joinpath("data/air_variation.toml")
     return tomllib.loads(text.read_text(encoding="ascii"))

@@ -1,4 +1,4 @@
-"""What a barometer outside reads of a pressure, by the errors that a flight has determined."""
+"""What a barometer reads at a given pressure, by the errors that a flight has determined."""
 
 from dataclasses import dataclass
 
@@ -7,14 +7,17 @@ from unbend.units import Array
 
 @dataclass(frozen=True)
 class BarometerErrors:
-    """An offset [Pa], and the share of its change since the highest pressure [Pa] that is lost."""
+    """Errors of a barometer: an offset, and a share of the pressure's change that is lost.
+
+    ``lost_share``: of the change since the highest pressure of the flight, ``highest_pa``.
+    """
 
     offset_pa: float = 0.0
     lost_share: float = 0.0
     highest_pa: float = 0.0
 
     def reading(self, pressure_pa: Array) -> Array:
-        """What the barometer reads of pressures (n,) [Pa].
+        """(n,) what the barometer reads at true pressures (n,) [Pa].
 
         >>> import numpy as np
         >>> BarometerErrors(20.0, 0.1, 100_000.0).reading(np.array([90_000.0])).tolist()

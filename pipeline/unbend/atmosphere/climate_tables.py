@@ -59,7 +59,7 @@ class _WeightedColumn(NamedTuple):
 
 
 def climate_names() -> tuple[str, ...]:
-    """Names that `climate_profile` takes.
+    """Names of the tables that `climate_profile` makes profiles of.
 
     >>> climate_names()[1], climate_names()[-1]
     ('supplements1966_30n_january', 'afgl1986_us_standard')
@@ -126,8 +126,8 @@ def supplements_profile(
     }
     nodes = np.array([15.0, 30.0, 45.0, 60.0, 75.0])
     parts = []
-    for latitude, hat in zip(nodes, np.eye(nodes.size), strict=True):
-        weight = float(np.interp(degrees, nodes, hat))
+    for latitude, is_node in zip(nodes, np.eye(nodes.size), strict=True):
+        weight = float(np.interp(degrees, nodes, is_node))
         for column in _supplements().values():
             if column.latitude_deg == latitude and weight > 0.0:
                 share = share_of_season[column.season]
@@ -147,7 +147,7 @@ def season(latitude_rad: float, month: float) -> float:
 
 
 def rows_of(file: str) -> list[dict[str, str]]:
-    """The rows of a table of ``data``."""
+    """The rows of a CSV table in the folder ``data``, each by column name."""
     text = resources.files("unbend.atmosphere").joinpath(f"data/{file}")
     return list(csv.DictReader(text.read_text(encoding="ascii").splitlines()))
 
@@ -180,7 +180,10 @@ def _numbers(rows: Sequence[Mapping[str, str]], name: str) -> Array:
 
 @lru_cache
 def read_models(file: str) -> dict[str, list[dict[str, float]]]:
-    """The rows of each model in a table of ``data`` that names them."""
+    """The rows of each model in a CSV table in the folder ``data``, by the model's name.
+
+    The table has a column ``name``; all other columns are numbers.
+    """
     models: dict[str, list[dict[str, float]]] = {}
     for row in rows_of(file):
         name = row.pop("name")
@@ -190,7 +193,11 @@ def read_models(file: str) -> dict[str, list[dict[str, float]]]:
 
 
 def _edges(*breaks: Array) -> Array:
-    """All breakpoints, and steps where there is water; heights a millimetre apart are one."""
+    """Edges of layers [m'], from 0 to the lowest of the tops of some tables.
+
+    All breakpoints of the tables (``breaks``, increasing), and steps of 500 m' up to 16 km, where
+    there is water; heights less than a millimetre apart are one.
+    """
     top = min(float(heights[-1]) for heights in breaks)
     steps = np.arange(0.0, _DRY_ABOVE_M + 1.0, _STEP_M)
     edges = np.unique(np.concatenate([steps, *breaks]))
@@ -205,7 +212,10 @@ def _mean_of_columns(
     index: IndexModel | None,
     name: str,
 ) -> Profile:
-    """Weighted mean of columns in temperature, relative humidity and surface pressure."""
+    """The profile of a weighted mean of columns.
+
+    Temperature, relative humidity and surface pressure are averaged. Weights add up to 1.
+    """
     edge = _edges(*(column.edge for _, column in parts))
     t = np.zeros(edge.size)
     humidity = np.zeros(edge.size)
@@ -236,9 +246,11 @@ def hydrostatic_profile(
     index: IndexModel | None,
     name: str,
 ) -> Profile:
-    """A profile through temperatures, with pressure from H = 0 and e/p from that pressure.
+    """A profile through temperatures at edges (k,) [m'], with pressure and e/p that fit each other.
 
-    Below the lowest edge the lowest layer goes on, isothermal where it is an inversion.
+    ``vapour_of``: e/p (k,) at the edges from the pressures (k,) there [Pa]. ``surface_pa``:
+    pressure at H = 0. Below the lowest edge the lowest layer is continued, as isothermal where it
+    is an inversion.
     """
     lapse = min((temperature[1] - temperature[0]) / (edge[1] - edge[0]), 0.0)
     lowest_k = temperature[0] + lapse * (LOWEST_GEOPOTENTIAL_M - edge[0])

@@ -1,7 +1,7 @@
-"""What the air is like without any measurement, one of `standard.ATMOSPHERES`.
+"""The expected air without any measurement, by one of `standard.ATMOSPHERES`, and its spread.
 
-And how far from that it may be: one model for all, and how far each departs from the climatology by
-default.
+The spread is that of air about the default climatology; for another atmosphere, its difference from
+the default is added.
 """
 
 from __future__ import annotations
@@ -39,17 +39,18 @@ _SPREAD_STEP_M = 250.0
 _DRY_ABOVE_M = 12_000.0  # above, all humidities weigh less than 1e-4 of n - 1
 _DAILY_TO_M = 3000.0  # above the ground, which the day warms [m]
 _DAILY_STEP_M = 50.0
-_OTHER_TABLE_LENGTH_M = 5000.0  # correlation in height of what one table has beside another [m]
+_OTHER_TABLE_LENGTH_M = 5000.0  # correlation in height of the difference of two tables [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
     """How far the air of one day is from a climatology.
 
-    ``parts`` of the departure of temperature, independent of each other; one sigma (k,) of relative
-    humidity over water [1] at increasing heights ``h_m`` (k,) above sea level, linear between and
-    constant beyond; ``pressure_ratio`` that of ln p at sea level. Humidity correlates as
-    exp(-dh / ``humidity_correlation_m``) over heights dh.
+    ``parts``: of the departure of temperature, independent of each other. ``relative_humidity``
+    (k,): one sigma of relative humidity over water (0 to 1) at increasing heights ``h_m`` (k,)
+    above sea level, linear between and constant beyond; it correlates as
+    exp(-dh / ``humidity_correlation_m``) over heights dh. ``pressure_ratio``: one sigma of ln p at
+    sea level.
     """
 
     parts: Parts
@@ -67,7 +68,10 @@ class Spread:
         return np.interp(np.asarray(h, np.float64), self.h_m, self.relative_humidity)
 
     def with_difference(self, profile: Profile, expected: Profile) -> Spread:
-        """The spread about another profile than the expected: their difference is part of it."""
+        """The spread about ``profile``, where this spread is about the ``expected`` profile.
+
+        The difference of the profiles is added, in temperature as one more part.
+        """
         inside = (self.h_m <= profile.top_m) & (self.h_m <= expected.top_m)
         h = self.h_m[inside]
         warmer_k = profile.temperature(h) - expected.temperature(h)
@@ -88,12 +92,11 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Climatology:
-    """The expected profile, its spread, and in words which tables it comes from.
+    """The expected profile, its spread, and its ``origin``, in words.
 
-    Where it has no humidity the profile is dry because the model says nothing of water.
-
-    ``daily`` is the cycle of the day there, and ``hour`` the mean local time [h] of the profile,
-    None where it is not known.
+    ``has_humidity``: False if the profile is dry because its model has no water. ``daily``: the
+    cycle of the day at its place and season. ``hour``: mean local time of the profile [h], None if
+    unknown.
     """
 
     profile: Profile
@@ -104,9 +107,9 @@ class Climatology:
     hour: float | None = None
 
     def warming_since(self, hour: float | None, h: Array) -> Array:
-        """What the day warms the air by [K] from another mean local time [h] to the profile's.
+        """Warming by the day's cycle [K] from mean local time ``hour`` [h] to that of the profile.
 
-        At heights (n,) [m above sea level]; nothing where either time is not known.
+        At heights ``h`` (n,) [m above sea level]; 0 where either time is unknown.
         """
         if self.daily is None or self.hour is None or hour is None:
             return np.zeros(h.shape)
@@ -115,13 +118,13 @@ class Climatology:
     def parts_at(self, hour: float | None) -> Parts:
         """The parts of the spread with the amplitudes of another mean local time [h].
 
-        Those of the profile's where either time is not known.
+        The parts of the profile's own time where either time is unknown.
         """
         if self.daily is None or self.hour is None or hour is None:
             return self.spread.parts
         daily = self.daily
-        then = variation_parts(daily.latitude_rad, daily.month, daily.ground_h_m, hour)
-        return (*then, *self.spread.parts[len(then) :])
+        of_hour = variation_parts(daily.latitude_rad, daily.month, daily.ground_h_m, hour)
+        return (*of_hour, *self.spread.parts[len(of_hour) :])
 
     def relative_humidity(self, h: ArrayLike) -> Array:
         """Expected relative humidity over water (0 to 1) at heights ``h`` [m above sea level]."""
@@ -129,7 +132,10 @@ class Climatology:
         return self.profile.vapour_pressure(h) / saturated
 
     def sigma_log_pressure(self, h_m: float) -> float:
-        """One sigma of ln p at a height [m above sea level]: at sea level, and 2 % of the fall."""
+        """One sigma of ln p at a height [m above sea level].
+
+        That at sea level, and 2 % of the fall of ln p from there.
+        """
         fall = math.log(float(self.profile.pressure(0.0)) / float(self.profile.pressure(h_m)))
         return math.hypot(self.spread.pressure_ratio, 0.02 * fall)
 
@@ -146,13 +152,13 @@ def climatology(
 ) -> Climatology:
     """The air to expect at a place, season and hour of the day, with its spread.
 
-    ``name``: one of `known_names`; ``auto`` is the Supplements 1966 by latitude and season, and in
-    the lowest 3 km what public ascents have beside them, by the hour of the day.
-    ``latitude_rad``: north positive; gives gravity too. ``month``: 1.0 is mid-January, 7.0
-    mid-July, None where the date is not known; see `month_of`. ``ground_h_m``: of the ground
-    [m above sea level], on which the boundary layer stands. ``longitude_rad``: used by NRLMSIS
-    only. ``hour``: mean local time, see `air_variation.solar_hour`; without it, or without a month,
-    the mean of day and night is expected, and the day's cycle is part of the spread.
+    ``name``: one of `known_names`; ``auto`` is the Supplements 1966 by latitude and season, with
+    the lowest 3 km corrected by public ascents and the hour of the day. ``latitude_rad``: north
+    positive; gives gravity too. ``month``: 1.0 is mid-January, 7.0 mid-July, None where the date is
+    unknown; see `month_of`. ``ground_h_m``: of the ground [m above sea level], where the boundary
+    layer begins. ``longitude_rad``: used by NRLMSIS only. ``hour``: mean local time [h], see
+    `air_variation.solar_hour`; without it, or without a month, the mean of day and night is
+    expected, and the day's cycle is part of the spread.
 
     Raises ``PhysicsError`` where the name is unknown, the latitude is beyond the pole, or the
     package behind NRLMSIS is not installed.
@@ -194,17 +200,18 @@ def climatology(
 def _expected_profile(
     place: SeasonAndPlace, daily: DailyCycle, hour: float | None, index: IndexModel
 ) -> Profile:
-    """The Supplements 1966 with what the lowest 3 km of public ascents have beside them.
+    """The Supplements 1966, with temperatures of the lowest 3 km corrected by ``daily``.
 
-    Vapour and the pressure at the ground are those of the tables.
+    Vapour, and pressure at the ground, are those of the tables. ``hour``: mean local time [h], None
+    for the mean of day and night.
     """
     profile = ATMOSPHERES[SUPPLEMENTS].profile(place, index)
     gravity = profile.gravity
     above_ground = np.arange(0.0, _DAILY_TO_M + 1.0, _DAILY_STEP_M)
     added = gravity.geopotential_height(daily.ground_h_m + above_ground)
     inner = profile.layers.edge[1:-1]
-    beside = np.min(np.abs(inner[:, None] - added), axis=1) > 1.0
-    edge = np.unique(np.concatenate([profile.layers.edge[[0, -1]], inner[beside], added]))
+    is_apart = np.min(np.abs(inner[:, None] - added), axis=1) > 1.0
+    edge = np.unique(np.concatenate([profile.layers.edge[[0, -1]], inner[is_apart], added]))
     h = gravity.height(edge)
     t_m, _, vapour = profile.state(h)
     warmer = daily.mean_k(h) + daily.of_hour_k(h, hour)
@@ -220,12 +227,11 @@ def _expected_profile(
 
 
 def _spread_over_the_year(place: SeasonAndPlace, ground_h_m: float, index: IndexModel) -> Spread:
-    """The spread about the middle of the year, at a place where the day is not known.
+    """The spread about the middle of the year, for a flight of unknown date.
 
-    ``place.month`` is then that of spring. The difference of the profile of mid-winter, or of
-    mid-summer, from that of the middle is added to the season's own spread, as one sigma. Of both
-    seasons the larger is taken, part by part and height by height: most flights are of one season,
-    and have to be covered there.
+    ``place.month`` is that of spring, the middle. To the spread of mid-winter, and of mid-summer,
+    the difference of that season's profile from the middle one is added as one sigma. The larger of
+    both is taken, part by part and height by height, so that flights of either season are covered.
     """
     latitude_rad = place.latitude_rad or 0.0
     middle_day = DailyCycle(latitude_rad, place.month, ground_h_m)
@@ -246,9 +252,9 @@ def _spread_over_the_year(place: SeasonAndPlace, ground_h_m: float, index: Index
 
 
 def month_of(time_ns: int | None) -> float | None:
-    """The month that `climatology` takes, of a time [Unix ns]; 1.0 is 15 January.
+    """The month of a time [Unix ns] as a number for `climatology`; 1.0 is 15 January.
 
-    None without a time: no season may be assumed.
+    None without a time, because no season may be assumed.
 
     >>> round(month_of(1_310_688_000 * 10**9), 2), month_of(None)  # 15 July 2011
     (6.95, None)
@@ -265,23 +271,24 @@ def expected_spread(
 ) -> Spread:
     """One sigma of a day's air about the climatology at the same latitude and season.
 
-    Temperature: the parts of `air_variation`, fitted to public ascents; without an hour of the day
-    its cycle too. Relative humidity: 0.30, 0.15 in the lowest kilometre and above 12 km. Pressure
-    at sea level: 0.6 % in the tropics, 1.0 % in middle latitudes, 1.3 % in their winter.
+    Temperature: the parts of `air_variation`, fitted to public ascents; without an ``hour`` (mean
+    local time [h]) the day's cycle too. Relative humidity: 0.30 from 1 to 10 km above the ground,
+    0.15 at the ground and above 13 km. Pressure at sea level: 0.6 % in the tropics, 1.0 % in middle
+    latitudes, 1.3 % in their winter.
     """
     degrees = abs(latitude_rad) / DEGREE
     winter = 0.5 + 0.5 * season(latitude_rad, month)
-    away = float(np.interp(degrees, [15.0, 50.0], [0.0, 1.0]))  # from the tropics
+    from_tropics = float(np.interp(degrees, [15.0, 50.0], [0.0, 1.0]))
     h = np.arange(0.0, _SPREAD_TOP_M + 1.0, _SPREAD_STEP_M)
     parts = variation_parts(latitude_rad, month, ground_h_m, hour)
     if hour is None:
         cycle = DailyCycle(latitude_rad, month, ground_h_m).by_hour_k(parts[0].h_m)
-        of_day = cycle / math.sqrt(2.0)  # of a cosine at any time
+        hour_k = cycle / math.sqrt(2.0)  # RMS of a cosine
         parts = (
             *parts,
-            Part("hour", parts[0].h_m, of_day, CYCLE_LENGTH_M, memory_h=CYCLE_MEMORY_H),
+            Part("hour", parts[0].h_m, hour_k, CYCLE_LENGTH_M, memory_h=CYCLE_MEMORY_H),
         )
     above_ground = np.maximum(h - ground_h_m, 0.0)
     humidity = np.interp(above_ground, [0.0, 1000.0, 10_000.0, 13_000.0], [0.15, 0.3, 0.3, 0.15])
-    level = 0.006 + away * (0.004 + 0.003 * winter)
-    return Spread(parts, h, humidity, HUMIDITY_CORRELATION_M, level)
+    sigma_log_p = 0.006 + from_tropics * (0.004 + 0.003 * winter)
+    return Spread(parts, h, humidity, HUMIDITY_CORRELATION_M, sigma_log_p)

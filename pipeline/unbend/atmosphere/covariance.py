@@ -1,9 +1,9 @@
 """Derivatives of a profile's air, and the covariance of an estimated profile.
 
-Layers meet in T_M and e/p, and are linear between their edges (`layers.stack_layers`). With phi_k
-the hat function of edge k, T_M(H) = sum of phi_k T_k and ln p(H) = ln p(anchor) - (G M0 / R*) *
-integral of dH / T_M, so that d ln p(H) / d T_k = (G M0 / R*) * integral from the anchor to H of
-phi_k / T_M^2 dH (`hypsometry.column`).
+T_M and e/p are continuous, and linear between the edges of layers (`layers.stack_layers`). With
+phi_k the hat function of edge k, T_M(H) = sum of phi_k T_k and ln p(H) = ln p(anchor) -
+(G M0 / R*) * integral of dH / T_M, so that d ln p(H) / d T_k = (G M0 / R*) * integral from the
+anchor to H of phi_k / T_M^2 dH (`hypsometry.inverse_temperature_integral`).
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unbend.atmosphere import messages
-from unbend.atmosphere.hypsometry import column, hats
+from unbend.atmosphere.hypsometry import interpolation_weights, inverse_temperature_integral
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.units import VAPOUR_DEFICIT, Array
@@ -32,14 +32,14 @@ def air_jacobian(
     h: ArrayLike,
     anchor_height_m: float,
 ) -> Array:
-    """Derivatives of N = n - 1 at heights with respect to what a profile of m layers is made of.
+    """Derivatives of N = n - 1 at heights by the parameters of a profile of m layers.
 
     ``h``: (n,) heights [m above sea level]; rows of heights outside the profile are NaN.
     ``anchor_height_m``: where pressure stays when temperatures change [m above sea level].
 
-    Returns (n, 2m + 3), in the order of `ProfileCovariance.matrix`: with respect to T_M at the
-    m + 1 edges of the layers [1/K], e/p held, pressure following by hydrostatics from the anchor;
-    to ln p, the same at any height; and to e/p at the edges, T_M held (so pressure stays).
+    Returns (n, 2m + 3), in the order of `ProfileCovariance.matrix`: by T_M at the m + 1 edges of
+    the layers [1/K], with constant e/p, and pressure changed by hydrostatics from the anchor; by
+    ln p at the anchor; and by e/p at the edges, with constant T_M (so pressure stays).
 
     A thermometer measures T = T_M (1 - 0.378 e/p). With x_k for e/p at edge k, the derivative with
     respect to T_k at fixed x_k is that for T_M,k divided by (1 - 0.378 x_k); the one with respect
@@ -58,7 +58,7 @@ def air_jacobian(
     dryness = 1.0 - VAPOUR_DEFICIT * vapour
     partials = _index_partials(profile.index, t_m * dryness, p, vapour)
     by_t, by_log_p, by_fraction = partials
-    weights = hats(profile.layers.edge, profile.gravity.geopotential_height(h))
+    weights = interpolation_weights(profile.layers.edge, profile.gravity.geopotential_height(h))
     log_pressure = log_pressure_jacobian(profile, h, anchor_height_m)
     through_pressure = by_log_p[:, None] * log_pressure
     by_virtual = through_pressure + (by_t * dryness)[:, None] * weights
@@ -76,7 +76,9 @@ def log_pressure_jacobian(
     h: ArrayLike,
     anchor_height_m: float,
 ) -> Array:
-    """d ln p / d T_M at the edges of the layers [1/K], (n, m + 1); arguments as `air_jacobian`.
+    """Derivatives (n, m + 1) of ln p at heights by T_M at the m + 1 edges [1/K].
+
+    Arguments and rows of NaN as in `air_jacobian`.
 
     A degree more over the lowest 11 km raises the pressure above them by 0.6 %:
 
@@ -94,7 +96,7 @@ def log_pressure_jacobian(
     height = profile.gravity.geopotential_height(h)
     height = np.where(is_outside, np.nan, height)
     anchor = profile.gravity.geopotential_height(anchor_height_m)
-    _, gradient = column(
+    _, gradient = inverse_temperature_integral(
         profile.layers.edge,
         profile.layers.edge_temperature,
         np.append(height, anchor),
@@ -111,9 +113,9 @@ def _index_partials(
     p: Array,
     vapour_share: Array,
 ) -> tuple[Array, Array, Array]:
-    """dN/dT [1/K], dN/d ln p and dN/d(e/p), each with the other two of T, p and e/p held.
+    """(n,) dN/dT [1/K], dN/d ln p and dN/d(e/p), each with the other two of T, p, e/p constant.
 
-    ``vapour_share`` is e/p.
+    ``t`` [K], ``p`` [Pa], ``vapour_share`` e/p: (n,).
     """
     steps = np.append(np.arange(-4.0, 0.0), np.arange(1.0, 5.0))[:, None]
     temperatures = t * (1.0 + _TEMPERATURE_STEP * steps)
@@ -131,32 +133,32 @@ def _index_partials(
 
 
 def _central_difference(values: Array, step: float) -> Array:
-    """(n,) derivatives from ``values`` (8, n) at -4 ... -1, 1 ... 4 steps."""
+    """(n,) derivatives from ``values`` (8, n) at -4, ..., -1, 1, ..., 4 steps from the point."""
     above = values[4:]
     below = values[3::-1]
     return np.asarray(_STENCIL @ (above - below) / step)
 
 
 def plane_rule(h_c: float, h_g: float, steps: int) -> tuple[Array, Array]:
-    """Heights [m], and the weights of N there whose sum is R/tan zeta in the plane.
+    """Heights [m] and weights, so that the weighted sum of N there is R/tan zeta in the plane.
 
-    Mean of N over the way - N_c (Gyer 1996, Eq. 24), by ``steps`` trapezia from the ground at
-    ``h_g`` to a camera at ``h_c`` [m above sea level].
+    R/tan zeta is the mean of N over the height minus N_c at the camera (Gyer 1996, Eq. 24), by
+    ``steps`` trapezia from the ground at ``h_g`` to a camera at ``h_c`` [m above sea level].
     """
     h = np.linspace(h_g, h_c, steps + 1)
     weight = np.full(h.size, 1.0 / steps)
     weight[[0, -1]] *= 0.5
-    weight[-1] -= 1.0
+    weight[-1] -= 1.0  # N_c
     return h, weight
 
 
 @dataclass(frozen=True, eq=False)
 class ProfileCovariance:
-    """One-sigma and correlation of a profile with k edges of layers.
+    """Covariance of the parameters of a profile with k edges of layers.
 
-    ``matrix``: (2k + 1, 2k + 1) covariance of T_M at the edges [K], ln p at the geopotential height
-    ``anchor_m`` [m'], and e/p at the edges, in this order. For any quantity with gradient g by
-    them, sigma^2 = g^T C g.
+    ``matrix`` C: (2k + 1, 2k + 1), of T_M at the edges [K], ln p at the geopotential height
+    ``anchor_m`` [m'], and e/p at the edges, in this order. A quantity with derivatives g by these
+    parameters has sigma^2 = g^T C g.
     """
 
     profile: Profile
@@ -170,7 +172,7 @@ class ProfileCovariance:
 
     @property
     def anchor_height_m(self) -> float:
-        """The anchor's height above sea level [m]."""
+        """Height above sea level [m] of the anchor, where the matrix has ln p."""
         return float(self.profile.gravity.height(self.anchor_m))
 
     def sigma_temperature(self, h: ArrayLike) -> Array:
@@ -219,8 +221,8 @@ class ProfileCovariance:
     def relative_sigma(self, h_c: float, h_g: float) -> float:
         """sigma_R/R of rays from a camera at ``h_c`` to the ground at ``h_g`` [m], to first order.
 
-        In the plane (`plane_rule`), where the ratio differs by less than 1 % of itself below 75
-        degrees: the sigma of the one scale factor of R that a whole flight shares.
+        Computed in the plane (`plane_rule`); for rays below 75 degrees the ratio differs by less
+        than 1 % of itself. It is the sigma of the scale factor of R that a whole flight shares.
         """
         h, weight = plane_rule(h_c, h_g, RAY_STEPS)
         r = float(weight @ self.profile.refractivity(h))
@@ -229,9 +231,9 @@ class ProfileCovariance:
         return float(np.sqrt(variance)) / abs(r)
 
     def _weights(self, h: Array) -> Array:
-        """(n, k) weights of the edges at heights (n,) [m] between them."""
+        """(n, k) weights of the edges in the interpolation to heights (n,) [m above sea level]."""
         height = self.profile.gravity.geopotential_height(h)
-        return hats(self.profile.layers.edge, height)
+        return interpolation_weights(self.profile.layers.edge, height)
 
     def log_pressure_by_virtual(self, h: Array) -> Array:
         """(n, k) derivatives of ln p at heights (n,) [m] by T_M at the edges [1/K]."""
@@ -244,5 +246,5 @@ class ProfileCovariance:
 
 
 def _as_column(h: ArrayLike) -> Array:
-    """Heights (n,), of one height too."""
+    """Heights as an array (n,), (1,) for a single height."""
     return np.atleast_1d(np.asarray(h, dtype=np.float64))

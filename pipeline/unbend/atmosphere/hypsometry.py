@@ -1,4 +1,4 @@
-"""Pressure, height and temperature: what the weight of the air column ties together."""
+"""Hydrostatics: pressure, height and temperature by the weight of the air column."""
 
 from dataclasses import dataclass
 
@@ -7,14 +7,14 @@ import numpy as np
 from unbend.units import HYDROSTATIC_CONSTANT, Array, Rows
 
 ADIABATIC_K_PER_M = 9.8e-3
-"""Unsaturated air whose temperature falls faster overturns within minutes [K/m']."""
+"""Dry adiabatic lapse rate [K/m']: unsaturated air with a faster fall overturns within minutes."""
 
-COLDEST_K = 180.0  # no colder air lies between the ground and the stratosphere [K]
-
+# Temperatures of air between the ground and the stratosphere [K]: pressures that imply others are
+# not those outside.
+COLDEST_K = 180.0
 WARMEST_K = 335.0
-"""No air is warmer [K]: pressures that imply more, or less than 180 K, are not those outside."""
 
-LEAST_RISE_M = 1.0  # less tells nothing of the fall of pressure
+LEAST_RISE_M = 1.0  # over a smaller range of heights the fall of pressure is not determined [m']
 _SERIES_BELOW = 0.05  # of dT/T: the closed form of the moment loses 1e-16/x of its digits
 _ORDER = np.arange(12)
 _SERIES = (-1.0) ** _ORDER * (_ORDER + 1.0) / (_ORDER + 2.0)  # 1/2 - 2 x/3 + 3 x^2/4 - ...
@@ -24,8 +24,8 @@ _SERIES = (-1.0) ** _ORDER * (_ORDER + 1.0) / (_ORDER + 2.0)  # 1/2 - 2 x/3 + 3 
 class Fall:
     """How pressure falls with height.
 
-    ``implied_k`` is the mean virtual temperature [K] that this implies, None where pressure does
-    not fall; ``unexplained`` the RMS of ln p about a parabola in height.
+    ``implied_k``: the mean virtual temperature [K] that this implies, None if pressure does not
+    fall, or heights differ too little. ``unexplained``: RMS of ln p about a parabola in height.
     """
 
     implied_k: float | None
@@ -33,7 +33,7 @@ class Fall:
 
     @property
     def is_of_air(self) -> bool:
-        """Whether air of 180 to 335 K can have it."""
+        """Whether the implied temperature is that of possible air, 180 to 335 K."""
         if self.implied_k is None:
             return False
         return COLDEST_K < self.implied_k < WARMEST_K
@@ -43,10 +43,11 @@ def fall_of_pressure(
     height: Array,
     log_pressure: Array,
 ) -> Fall:
-    """The mean virtual temperature that the fall of pressure with height implies.
+    """How pressure falls with height, with the mean virtual temperature that this implies.
 
-    ``height`` (n,) heights [m'], or [m] within 0.5 %; ``log_pressure`` (n,) ln p there; n > 2. By
-    the slope of a straight line (Gyer 1996, Eq. 53); 1000 m of height give it to about 2 K.
+    ``height`` (n,): heights [m'], or [m] within 0.5 %; ``log_pressure`` (n,): ln p there; n > 2.
+    The temperature follows from the slope of a straight line (Gyer 1996, Eq. 53), over 1000 m of
+    height to about 2 K.
 
     >>> h = np.array([0.0, 1000.0, 2000.0])
     >>> round(fall_of_pressure(h, -h / 8000.0).implied_k, 2)
@@ -68,23 +69,24 @@ def fall_of_pressure(
     return Fall(-HYDROSTATIC_CONSTANT / slope, unexplained)
 
 
-def column(
+def inverse_temperature_integral(
     edge: Array,
     virtual: Array,
     height: Array,
 ) -> tuple[Array, Array]:
-    """Integral of dH/T_M from the lowest edge to heights (m,) [m'] within the edges, and gradient.
+    """Integral of dH/T_M from the lowest edge to each height (m,) [m'], and its derivatives.
 
     ``edge``, ``virtual``: (k,) geopotential heights [m'], increasing, and T_M there [K], linear
-    between. Returns the integral (m,) [m'/K]: ln p = ln p_0 - (G M0 / R*) times this is Gyer 1996,
-    Eq. 52 and 53; and its derivatives (m, k) by T_M at the edges [m'/K2].
+    between. Heights are within the edges. Returns the integral (m,) [m'/K], with which
+    ln p = ln p_0 - (G M0 / R*) times the integral (Gyer 1996, Eq. 52 and 53), and its derivatives
+    (m, k) by T_M at the edges [m'/K2].
 
     In a layer of thickness D from T_0 to T_1 = T_0 (1 + x) the integral is D ln(1 + x) / (T_0 x);
     its derivative by T_1 is -D/T_0^2 (ln(1 + x) - x/(1 + x)) / x^2, the last factor 1/2 - 2 x/3 +
-    3 x^2/4 - ...; by T_0 it is what that leaves of -D/(T_0 T_1).
+    3 x^2/4 - ...; its derivative by T_0 is -D/(T_0 T_1) minus that by T_1.
 
     >>> edge, virtual = np.array([0.0, 1000.0]), np.array([250.0, 250.0])
-    >>> integral, gradient = column(edge, virtual, np.array([500.0]))
+    >>> integral, gradient = inverse_temperature_integral(edge, virtual, np.array([500.0]))
     >>> integral.tolist(), (gradient * 250.0**2).round(9).tolist()
     ([2.0], [[-375.0, -125.0]])
     """
@@ -112,10 +114,12 @@ def column(
     return integral, gradient
 
 
-def hats(knot: Array, x: Array) -> Array:
-    """(m, k) weights of linear interpolation between knots, constant beyond them.
+def interpolation_weights(knot: Array, x: Array) -> Array:
+    """(m, k) weights of values at knots (k,) in their linear interpolation to points ``x`` (m,).
 
-    >>> hats(np.array([0.0, 2.0, 4.0]), np.array([0.5, 5.0])).tolist()
+    ``knot`` increases; beyond the knots the interpolation is constant.
+
+    >>> interpolation_weights(np.array([0.0, 2.0, 4.0]), np.array([0.5, 5.0])).tolist()
     [[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]]
     """
     weights = np.zeros((x.size, knot.size))
@@ -130,7 +134,10 @@ def hats(knot: Array, x: Array) -> Array:
 
 
 def _interval_of(knot: Array, x: Array) -> Rows:
-    """(m,) numbers of the knots (k,) below values (m,), from 0 to k - 2."""
+    """(m,) number of the interval between knots (k,) of each value (m,), from 0 to k - 2.
+
+    Interval i is between knots i and i + 1; values beyond the knots are in the first or the last.
+    """
     below = np.searchsorted(knot, x, side="right") - 1
     return np.clip(below, 0, knot.size - 2)
 
@@ -140,7 +147,11 @@ def _layer(
     lower: Array,
     upper: Array,
 ) -> tuple[Array, Array, Array]:
-    """Integral of dH/T over layers, and its derivatives by the lower and upper temperature."""
+    """(n,) integral of dH/T over each layer, and its derivatives by the two temperatures.
+
+    ``lower``, ``upper`` (n,): temperatures at its base and top [K], linear between; formulas in
+    `inverse_temperature_integral`.
+    """
     x = upper / lower - 1.0
     is_isothermal = x == 0.0
     divisor = np.where(is_isothermal, 1.0, x)

@@ -18,8 +18,8 @@ BAROMETRIC = "barometric"
 RELAXED = "relaxed"
 STANDARD = "standard"
 
-# Below this temperature difference across a layer Eq. 53 stands for Eq. 52: they agree to 2e-10 of
-# pressure, while Eq. 52 evaluated as it is printed loses ever more digits (4e-9 here).
+# Below this temperature difference across a layer Eq. 53 replaces Eq. 52: they agree to 2e-10 of
+# pressure, while Eq. 52 evaluated as printed loses more and more digits (4e-9 here).
 _ISOTHERMAL_K = 1e-7
 
 
@@ -34,8 +34,9 @@ def pressure_gradient_layer(
 
     p = p_b (T_b / (T_b + L_b dH)) ** (G M0 / (R* L_b)), with L_b in the exponent (the paper
     prints T_b) and the unit geopotential G, since gravity is already in H. ``lapse``: L_b [K/m'],
-    not zero; however small, the result goes over into Eq. 53 without loss of digits. Base in [Pa]
-    and [K]; ``rise``: dH [m'], negative below it. ``constant``: G M0 / R* [K/m'].
+    not zero; for small L_b the result approaches Eq. 53 without loss of digits. ``pressure_base``
+    [Pa], ``temperature_base`` [K]: at the base. ``rise``: dH above the base [m'], negative below.
+    ``constant``: G M0 / R* [K/m'].
 
     >>> float(pressure_gradient_layer(101325.0, 288.15, -0.0065, 11000.0).round(2))
     22632.06
@@ -70,9 +71,9 @@ def pressure_isothermal_layer(
 class Layers:
     """Layers between geopotential heights, from the ground up.
 
-    ``edge``: (m + 1,) boundaries [m'], increasing. The others (m,): T_M [K], ``pressure`` [Pa] and
-    ``vapour`` e/p at the lower edge, gradients of T_M [K/m'] and of e/p [1/m'], and ``source``:
-    measured | barometric | relaxed | standard.
+    ``edge``: (m + 1,) boundaries [m'], increasing. The others are (m,): ``temperature`` T_M [K],
+    ``pressure`` [Pa] and ``vapour`` e/p at the lower edge; ``lapse`` [K/m'] and ``vapour_slope``
+    [1/m'], the gradients of T_M and e/p; ``source``: measured | barometric | relaxed | standard.
     """
 
     edge: Array
@@ -100,7 +101,7 @@ class Layers:
         return np.append(self.temperature, top)
 
     def sources_between(self, edge: Array) -> tuple[str, ...]:
-        """Where layers between other edges (k,) [m'] come from: the source at their middles."""
+        """The sources of layers between other edges (k,) [m']: those at the middles of these."""
         middle = 0.5 * (edge[1:] + edge[:-1])
         below = np.searchsorted(self.edge, middle, side="right") - 1
         layers = np.clip(below, 0, len(self.source) - 1)
@@ -156,7 +157,11 @@ def log_pressure_fall(
     rise: Array,
     constant: float,
 ) -> Array:
-    """ln(p / p_b) by Eq. 52 where the lapse rate is not zero, by Eq. 53 where it is."""
+    """ln(p / p_b) at a height ``rise`` [m'] above the base, negative for a fall of pressure.
+
+    By Eq. 52 where the lapse rate [K/m'] is not zero, else by Eq. 53. ``base``: T_M at the base
+    [K]; ``constant``: G M0 / R* [K/m'].
+    """
     has_gradient = lapse != 0.0
     divisor = np.where(has_gradient, lapse, 1.0)
     by_52 = np.log(pressure_gradient_layer(1.0, base, divisor, rise, constant))

@@ -88,7 +88,7 @@ AIR_WAVELENGTH = Code(
 
 
 def wavelength_outside_range(*, wavelength_m: float) -> PhysicsError:
-    """The formula of the refractive index does not hold for this wavelength."""
+    """The wavelength is outside the range of the formula of the refractive index."""
     return PhysicsError(
         AIR_WAVELENGTH,
         "a wavelength of {wavelength_m:g} m is outside 0.23e-6 to 2.0e-6 m",
@@ -106,7 +106,7 @@ AIR_WINDOW = Code(
 
 
 def air_window(*, when: str, reason: str) -> Message:
-    """A part of the flight that has no air of its own."""
+    """A part of the flight has no usable estimate of its own."""
     return fallback(
         AIR_WINDOW,
         "the air of the whole flight is used about {when}: {reason}",
@@ -183,7 +183,7 @@ ATMOSPHERE_LATITUDE = Code(
 
 
 def latitude_beyond_pole(*, latitude_rad: float) -> PhysicsError:
-    """Degrees where radians are meant."""
+    """A latitude is beyond the pole; perhaps it is in degrees."""
     return PhysicsError(
         ATMOSPHERE_LATITUDE,
         "a latitude of {latitude_rad:g} rad is beyond the pole",
@@ -342,7 +342,10 @@ METAR_MISSING = Code(
 def metar_missing(
     *, where: str, count: int, quantities: str, report: str, dew_point_alone: bool
 ) -> Message:
-    """Quantities that a METAR does not give."""
+    """Quantities of a METAR are missing or cannot be read.
+
+    ``dew_point_alone``: whether there is a dew point without a temperature.
+    """
     text = "no {quantities} can be read in {report!r}"
     if dew_point_alone:
         text += "; without the temperature, the dew point gives no humidity"
@@ -371,7 +374,7 @@ def metar_parse(*, where: object, why: str) -> InputError:
 
 
 def metar_several(*, where: object, total: int) -> InputError:
-    """A text holds several reports."""
+    """A text contains several reports."""
     return InputError(
         METAR_PARSE,
         "the text contains {total} reports: which of them is meant?",
@@ -411,7 +414,7 @@ PROFILE_RANGE = Code(
 
 
 def reference_height_outside_profile(*, height_m: float, where: str) -> PhysicsError:
-    """Pressure is referred to a height that the profile does not reach."""
+    """A reference height of pressure is outside the profile; ``where`` describes the profile."""
     return PhysicsError(
         PROFILE_RANGE,
         "a reference height of {height_m:g} m is outside the profile",
@@ -422,7 +425,7 @@ def reference_height_outside_profile(*, height_m: float, where: str) -> PhysicsE
 
 
 def heights_outside_profile(*, lowest_m: float, highest_m: float, where: str) -> PhysicsError:
-    """The profile is asked for heights that it does not reach."""
+    """Heights are outside the profile; ``where`` describes the profile."""
     return PhysicsError(
         PROFILE_RANGE,
         "heights of {lowest_m:.0f} to {highest_m:.0f} m are outside the profile",
@@ -503,7 +506,7 @@ SURFACE_PRESSURE = Code(
 def surface_pressure(
     *, where: object, hpa: float, height_m: float, ratio: float, usual_hpa: float
 ) -> InputError:
-    """The pressure is impossible at that height."""
+    """The pressure is impossible at its height; ``ratio``: to the usual pressure there."""
     return InputError(
         SURFACE_PRESSURE,
         "{hpa:.2f} hPa at {height_m:.0f} m is {ratio:.3f} times the usual {usual_hpa:.0f} hPa",

@@ -1,7 +1,7 @@
 """What the text of a METAR or SPECI states, group by group (WMO-No. 306, FM 15; FMH-1).
 
-A report begins with the station and the group of its day, hour and minute, ``LOWW 121150Z``. What
-stands before them is a heading of a bulletin or a date. Its body ends at a trend or at the remarks.
+A report begins with the station and the group of its day, hour and minute, ``LOWW 121150Z``. Text
+before it is a heading of a bulletin or a date. The body ends at a trend or at the remarks.
 """
 
 import math
@@ -17,12 +17,14 @@ from unbend.units import HECTOPASCAL
 
 INCH_OF_MERCURY_PA = 3386.389
 MOST_OF_ROUNDING_C = 1.0
-"""Between whole degrees of the body and tenths of the remarks; rounding alone makes 0.5."""
+"""Largest difference of whole degrees of the body from tenths of the remarks; rounding alone makes
+0.5."""
 MOST_BETWEEN_SETTINGS_PA = 200.0
-"""Between altimeter settings in hPa and in inches: both are rounded down, by 1.0 and 0.3 hPa."""
-FARTHEST_FROM_DATE = np.timedelta64(36, "h")  # from its noon: a day, either way
+"""Largest difference of altimeter settings in hPa and in inches: both are rounded down, by up to
+1.0 and 0.3 hPa."""
+FARTHEST_FROM_DATE = np.timedelta64(36, "h")  # from its noon: the day, the one before and after
 LONGEST_TEXT = 2000  # characters of a report with all that archives write around it
-EXCERPT = 80  # characters of a report that a refusal shows
+EXCERPT = 80  # characters of a report that an error message shows
 
 _STATION_AND_TIME = re.compile(r"(?<!\S)([A-Z][A-Z0-9]{3}) (?:COR )?(\d{6})(?=Z(?!\S))")
 _STATION_AND_TIME_WITHOUT_Z = re.compile(r"(?<!\S)([A-Z][A-Z0-9]{3}) (?:COR )?(\d{6})(?!\S)")
@@ -46,9 +48,10 @@ _MINUS_SIGN = re.compile(r"(?<=[\s/])-(?=\d{1,2}(?:/|\s|$))")
 class Metar:
     """What a report states; NaN, None or empty where it does not.
 
-    ``altimeter_pa`` is the middle of the step to which the setting was rounded down [Pa].
-    ``in_tenths``: the temperature is that of a T group. ``stamp``: day, hour and minute; ``date``
-    a day that stands before the report. ``complaints`` of groups that were not understood.
+    ``altimeter_pa``: middle of the step to which the setting was rounded down [Pa]. ``in_tenths``:
+    whether the temperature is that of a T group. ``stamp``: day of the month, hour and minute.
+    ``date``: day that is written before the report. ``complaints``: on groups that were not
+    understood.
     """
 
     text: str
@@ -64,7 +67,7 @@ class Metar:
 
 @dataclass(frozen=True)
 class _Parts:
-    """The parts of a text: what stands before the report, its body and its remarks."""
+    """The parts of a text: what is before the report, its body and its remarks."""
 
     before: str
     body: str
@@ -72,7 +75,7 @@ class _Parts:
 
 
 def has_report(line: str) -> bool:
-    """Whether a line has the station and the time of a report, which is no forecast.
+    """Whether a line has station and time of a METAR, and is not a forecast or a SYNOP.
 
     >>> has_report("METAR LSZH 141020Z 24008KT CAVOK 18/07 Q1016"), has_report("image,x,y")
     (True, False)
@@ -83,10 +86,10 @@ def has_report(line: str) -> bool:
 
 
 def decode_metar(text: str, where: str) -> Metar:
-    """What the only report of a text states; ``where`` it stands, for refusals.
+    """What the report in a text states; ``where`` is the place of the text, for error messages.
 
-    Raises ``InputError``: METAR-PARSE where the text is no report, a forecast, or several reports;
-    METAR-CONTRADICTION where its groups contradict each other.
+    Raises ``InputError``: METAR-PARSE if the text is not a METAR, a forecast, or several reports;
+    METAR-CONTRADICTION if its groups contradict each other.
 
     >>> decode_metar("EDDF 221150Z 24011KT M05/M10 Q1013", "here").temperature_c
     -5.0
@@ -126,7 +129,7 @@ def decode_metar(text: str, where: str) -> Metar:
 
 
 def _refuse_several(flat: str, where: str) -> None:
-    """Refuse a text that holds the times, temperatures or settings of several reports."""
+    """Raise ``InputError`` for a text with times, temperatures or settings of several reports."""
     body = _parts_of(flat).body
     temperatures = [
         group for group in _TEMPERATURES.findall(_with_signs(body)) if _has_digit(group)
@@ -144,11 +147,12 @@ def _refuse_several(flat: str, where: str) -> None:
 
 
 def _has_digit(fields: tuple[str, ...]) -> bool:
+    """Whether any field of a group has a digit, so that the group is not a placeholder."""
     return any(character.isdigit() for field in fields for character in field)
 
 
 def _parts_of(flat: str) -> _Parts:
-    """The parts of a text that holds one report.
+    """The parts of a text with one report, ``flat``: in capitals, with single spaces.
 
     >>> _parts_of("SAOS31 LOWM 121150 METAR LOWW 121150Z 06/02 Q1026 NOSIG RMK A3030")
     _Parts(before='SAOS31 LOWM 121150 METAR ', body='LOWW 121150Z 06/02 Q1026', remarks=' A3030')
@@ -163,21 +167,24 @@ def _parts_of(flat: str) -> _Parts:
 
 
 def _with_signs(body: str) -> str:
-    """A body whose temperatures have M where a minus was written."""
+    """A body with M for each minus of its temperatures."""
     return _MINUS_SIGN.sub("M", body)
 
 
 def _checked_groups(body: str, place: str) -> tuple[tuple[str, ...], str]:
-    """Complaints of groups that the package ``metar`` does not know, and the station it reads."""
+    """Complaints on groups that the package ``metar`` does not know, and the station that it reads.
+
+    ``place``: of the report, for error messages. Raises ``InputError`` where it cannot be parsed.
+    """
     from metar.Metar import Metar as LibraryReport
     from metar.Metar import ParserError
 
-    # Not strict, it warns of a group it does not know or cannot decode, and goes on: a strange
-    # runway group must not cost the temperature behind it.
+    # strict=False: the package warns of a group that it cannot decode and continues, so that a
+    # strange runway group does not lose the temperature after it.
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            # Month and year only keep it from guessing; January has every day.
+            # With month and year the package does not guess them; January has all 31 days.
             report = LibraryReport(_with_signs(body), month=1, year=2000, strict=False)
         except (ParserError, ValueError, TypeError, ArithmeticError, LookupError) as error:
             why = f"the report does not parse: {error}"
@@ -189,7 +196,7 @@ def _checked_groups(body: str, place: str) -> tuple[tuple[str, ...], str]:
 
 
 def _celsius(field: str | None) -> float:
-    """Whole degrees, M for minus; NaN where they are not reported.
+    """Degrees Celsius from a field of whole degrees with M for minus; NaN if not reported.
 
     >>> _celsius("M05"), _celsius("//")
     (-5.0, nan)
@@ -200,7 +207,7 @@ def _celsius(field: str | None) -> float:
 
 
 def whole_degrees(celsius: float) -> str:
-    """Whole degrees as a METAR has them.
+    """Whole degrees in the notation of a METAR.
 
     >>> whole_degrees(17.2), whole_degrees(-5.0), whole_degrees(-0.3)
     ('17', 'M05', 'M00')
@@ -210,7 +217,7 @@ def whole_degrees(celsius: float) -> str:
 
 
 def _from_tenths(field: str | None) -> float:
-    """Tenths of a degree behind a sign, 1 for minus; NaN without them.
+    """Degrees Celsius from a field of a sign (1 for minus) and tenths; NaN without a field.
 
     >>> _from_tenths("1017"), _from_tenths("0128")
     (-1.7, 12.8)
@@ -222,12 +229,15 @@ def _from_tenths(field: str | None) -> float:
 
 
 def _field(match: re.Match[str] | None, number: int) -> str | None:
-    """A group of a match, None without a match."""
+    """Group ``number`` of a match; None without a match, or if it did not take part in it."""
     return None if match is None else match[number]
 
 
 def _agreed_celsius(quantity: str, degrees: str | None, tenths: str | None, place: str) -> float:
-    """The degrees of the remarks' T group, else those of the body; refused where they differ."""
+    """Degrees Celsius of the T group in the remarks, else those of the body; NaN without both.
+
+    ``degrees``, ``tenths``: the fields of body and T group. Raises ``InputError`` if they differ.
+    """
     whole = _celsius(degrees)
     finer = _from_tenths(tenths)
     if math.isnan(finer):
@@ -243,7 +253,7 @@ def _agreed_celsius(quantity: str, degrees: str | None, tenths: str | None, plac
 
 
 def _agreed_setting(parts: _Parts, place: str) -> float:
-    """The first altimeter setting [Pa]; refused where another one says something else."""
+    """The first altimeter setting [Pa], NaN without one; ``InputError`` if another one differs."""
     settings_pa = [_setting_pa(*group) for group in _settings_of(parts)]
     for other_pa in settings_pa[1:]:
         if abs(other_pa - settings_pa[0]) > MOST_BETWEEN_SETTINGS_PA:
@@ -262,7 +272,7 @@ def _settings_of(parts: _Parts) -> list[tuple[str, str, str]]:
 
 
 def _letters_for_zeros(parts: _Parts) -> tuple[str, ...]:
-    """Complaints of altimeter settings that were typed with the letter O.
+    """Complaints on altimeter settings that were typed with the letter O for a zero.
 
     >>> _letters_for_zeros(_Parts("", "LOWW 121150Z 06/02 Q1O26", ""))
     ('Q1O26 is read as Q1026',)
@@ -276,7 +286,10 @@ def _letters_for_zeros(parts: _Parts) -> tuple[str, ...]:
 
 
 def _setting_pa(letter: str, digits: str, unit: str) -> float:
-    """An altimeter setting [Pa], with half of the step to which it was rounded down.
+    """An altimeter setting [Pa], plus half of the step to which it was rounded down.
+
+    ``letter``: A for hundredths of an inch of mercury, Q or QNH for hPa; ``unit``: HPA, INS or
+    empty.
 
     >>> _setting_pa("Q", "1013", ""), round(_setting_pa("A", "2992", ""))
     (101350.0, 101338)
@@ -288,7 +301,10 @@ def _setting_pa(letter: str, digits: str, unit: str) -> float:
 
 
 def _stamp_of(body: str, place: str) -> tuple[int, int, int] | None:
-    """Day, hour and minute of a report, None without them; refuses a group that is none."""
+    """Day, hour and minute of a report, None without them.
+
+    Raises ``InputError`` for a group like a time that is not a day, hour and minute.
+    """
     head = _STATION_AND_TIME.search(body) or _STATION_AND_TIME_WITHOUT_Z.search(body)
     if head is None:
         other = _NO_STAMP.search(body)
@@ -305,9 +321,9 @@ def _stamp_of(body: str, place: str) -> tuple[int, int, int] | None:
 
 
 def _date_before(before: str, place: str) -> np.datetime64 | None:
-    """The day of a date that stands before a report, as archives and servers write it.
+    """The date that archives and servers write before a report; None without a year.
 
-    None without a year; refuses a year whose month and day are not understood.
+    Raises ``InputError`` for a year without a valid month and day.
 
     >>> _date_before("2015/03/12 11:50 ", "here")
     np.datetime64('2015-03-12')
@@ -325,11 +341,11 @@ def _date_before(before: str, place: str) -> np.datetime64 | None:
 
 
 def time_of_metar(report: Metar, flight_ns: int | None, where: str) -> int | None:
-    """The time of a report [Unix ns], None where it or the flight has none.
+    """The time of a report [Unix ns]; None if it has no stamp, or neither date nor flight time.
 
-    A report has only the day of the month. It is the one nearest to the date that stands before
-    the report, which may be no more than a day away (else METAR-CONTRADICTION), else nearest to
-    the flight.
+    A report has only the day of the month. The month is the one that brings it nearest to the date
+    before the report, from which it may be a day away (else METAR-CONTRADICTION); without a date,
+    nearest to the flight at ``flight_ns`` [Unix ns].
     """
     if report.stamp is None:
         return None

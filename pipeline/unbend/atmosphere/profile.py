@@ -1,4 +1,4 @@
-"""The profile of the air: layers in hydrostatic equilibrium, and what they say at any height."""
+"""The profile of the air: layers in hydrostatic equilibrium, and the air at any height."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Profile:
     constant: float = HYDROSTATIC_CONSTANT
 
     def __repr__(self) -> str:
-        """Its name, heights and layers, and the air at sea level, or where it begins above that.
+        """Name, heights and layers, and the air at sea level, or at the bottom if that is higher.
 
         >>> from unbend.atmosphere import standard_atmosphere
         >>> standard_atmosphere("icao")
@@ -74,7 +74,7 @@ class Profile:
 
     @property
     def extent(self) -> str:
-        """Its name and heights, for refusals."""
+        """Name and range of heights, for error messages."""
         return f"profile {self.name}, {self.bottom_m:.0f} to {self.top_m:.0f} m"
 
     @property
@@ -157,9 +157,10 @@ class Profile:
         return self.index.refractivity(t, p, vapour * p)
 
     def at_level(self, h: ArrayLike, pressure_pa: ArrayLike) -> Profile:
-        """The profile with its pressure at the level of measured ones, in the median.
+        """The profile with all pressures multiplied by one factor, to fit measured ones.
 
-        ``h`` (n,) heights [m above sea level] of the pressures (n,) [Pa].
+        The median of ln(measured / profile) becomes 0. ``h`` (n,): heights [m above sea level] of
+        the pressures (n,) [Pa]; those outside the profile, or not finite, do not count.
         """
         measured_pa = np.asarray(pressure_pa, np.float64)
         log_ratio = np.log(measured_pa / self.pressure(h))
@@ -203,7 +204,7 @@ class Profile:
 
 
 def profile_table(profile: Profile, h: ArrayLike | None = None) -> dict[str, Any]:
-    """The profile as columns; each pressure can be retraced from its row by Eq. 52 or 53.
+    """The profile as columns; each pressure can be recomputed from its row by Eq. 52 or 53.
 
     ``h`` : (n,) heights [m above sea level]; by default the layer boundaries. ``t_base_k`` is the
     virtual temperature T_M at the layer's base; ``lapse_k_per_m`` is per geopotential metre.
@@ -262,9 +263,9 @@ def profile_from_table(
 ) -> Profile:
     """A profile through a table of the air, such as a sounding or a known truth.
 
-    Temperature and humidity pass through the table. Pressure is hydrostatic (Eq. 52-53), at the
-    level that the tabulated pressures have in the median: jumps of pressure between layers would
-    be mirrors in the sky. ``h`` [m above sea level], (n,), increasing.
+    Temperature and humidity are those of the table. Pressure is hydrostatic (Eq. 52-53), because
+    jumps of pressure between layers would reflect rays; its level fits the tabulated pressures in
+    the median (`Profile.at_level`). ``h``: (n,) heights [m above sea level], increasing.
     """
     edge = gravity.geopotential_height(h)
     t = np.asarray(temperature_k, np.float64)

@@ -1,4 +1,4 @@
-"""The refractive index of moist air, and how much water it holds.
+"""The refractive index of moist air, and how much water vapour air contains.
 
 All pressures in Pa, temperatures in K, wavelengths in vacuum in m. The vapour pressure ``e`` is
 the partial pressure of water; ``e = 0`` is dry air.
@@ -23,8 +23,8 @@ def refractivity_gyer(
 ) -> Array:
     """Refractivity n - 1 at 0.589 um as the papers use it (Gyer 1996, Eq. 13).
 
-    Reproduces Gyer's Table 2 to its last digit. Its vapour term has a tenth too little weight; for
-    humid air prefer `refractivity_ciddor`.
+    Reproduces Gyer's Table 2 to its last digit. Its vapour term is too small by a tenth; for humid
+    air prefer `refractivity_ciddor`.
 
     >>> float((refractivity_gyer(288.16, 101325.0) * 1e6).round(2))
     277.19
@@ -81,7 +81,7 @@ def saturated_lapse(temperature_k: ArrayLike, pressure_pa: ArrayLike) -> Array:
 
 
 def enhancement_factor(temperature_k: ArrayLike, pressure_pa: ArrayLike) -> Array:
-    """By how much air at pressure p holds more vapour than vacuum (Ciddor 1996, appendix A).
+    """Saturation vapour pressure in air over that without air (Ciddor 1996, appendix A).
 
     >>> float(enhancement_factor(293.15, 101325.0).round(5))
     1.00403
@@ -101,8 +101,8 @@ def vapour_pressure(
     1174.3
     """
     humidity = np.asarray(relative_humidity, np.float64)
-    held = humidity * enhancement_factor(temperature_k, pressure_pa)
-    return np.asarray(held * saturation_vapour_pressure(temperature_k))
+    enhanced = humidity * enhancement_factor(temperature_k, pressure_pa)
+    return np.asarray(enhanced * saturation_vapour_pressure(temperature_k))
 
 
 def virtual_temperature(
@@ -124,7 +124,10 @@ _M_W = 0.018015  # molar mass of water [kg/mol]
 
 
 def _compressibility(t: Array, p: Array, x_w: Array) -> Array:
-    """Z of moist air (Ciddor 1996, Eq. 12; BIPM density equation)."""
+    """Compressibility Z of moist air (Ciddor 1996, Eq. 12; BIPM density equation).
+
+    At ``t`` [K], ``p`` [Pa] and molar fraction ``x_w`` of water vapour.
+    """
     c = t - ZERO_CELSIUS_K
     ratio = p / t
     first = 1.58123e-6 - 2.9331e-8 * c + 1.1043e-10 * c * c
@@ -147,8 +150,8 @@ def refractivity_ciddor(
 ) -> Array:
     """Phase refractivity n - 1 of moist air (Ciddor 1996, Appl. Opt. 35(9), Eq. 1-5).
 
-    Arguments broadcast. Valid from 233 K to 373 K, 0 to 140 kPa, 0.3 to 1.69 um; the formulas go
-    on smoothly beyond. Agrees with the published check values to 1e-9 in n.
+    Arguments broadcast. Valid from 233 K to 373 K, 0 to 140 kPa, 0.3 to 1.69 um; beyond, the
+    formulas are smooth. Agrees with the published check values to 1e-9 in n.
 
     >>> float((refractivity_ciddor(293.15, 101325.0, wavelength_m=0.633e-6) * 1e9).round())
     271800.0
@@ -183,10 +186,10 @@ def refractivity_ciddor(
 
 
 INDEX_OF_ONE_LIGHT = ("gyer",)
-"""Formulas for one wavelength, which no other changes."""
+"""Formulas for one wavelength, which ignore `IndexModel.wavelength_m`."""
 
 GYER_WAVELENGTH_M = 0.589e-6
-"""That of Gyer's Eq. 13."""
+"""The wavelength of Gyer's Eq. 13."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +210,7 @@ class IndexModel:
 
     @property
     def light_m(self) -> float:
-        """The wavelength in vacuum [m] that the refractivity is of, whatever was asked for."""
+        """The wavelength in vacuum [m] for which the formula gives the refractivity."""
         return GYER_WAVELENGTH_M if self.name in INDEX_OF_ONE_LIGHT else self.wavelength_m
 
     def refractivity(

@@ -1,6 +1,6 @@
-"""Why a sample of a sensor is not used: one reason for each sample, set by the rule that decides.
+"""Why a sample of a sensor is not used: one reason for each sample, by the rule that rejects it.
 
-A reason is never replaced by a later one: the first rule that rejects a sample has said it all.
+A reason is not replaced by a later rule.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _TEXTS = {
 
 
 def reasons_where(rejected: Mask, reason: Reason) -> Reasons:
-    """One reason where a mask is True.
+    """An array with one reason where a mask is True, and `Reason.USED` elsewhere.
 
     >>> reasons_where(np.array([True, False]), Reason.JUMP).tolist()
     [3, 0]
@@ -70,7 +70,7 @@ def reasons_where(rejected: Mask, reason: Reason) -> Reasons:
 
 
 def with_reason(reasons: Reasons, rejected: Mask, reason: Reason) -> Reasons:
-    """Reasons with another one where a mask is True and the sample was used so far.
+    """The reasons, with ``reason`` set where a mask is True and the sample was used so far.
 
     >>> with_reason(np.array([0, 3, 0], np.uint8), np.array([True, True, False]), Reason.STUCK)
     array([9, 3, 0], dtype=uint8)
@@ -79,7 +79,7 @@ def with_reason(reasons: Reasons, rejected: Mask, reason: Reason) -> Reasons:
 
 
 def count_by_reason(reasons: Iterable[Reasons]) -> dict[Reason, int]:
-    """How many samples have each reason, without those that are used.
+    """How many samples are rejected for each reason, over several arrays of reasons.
 
     >>> count_by_reason([np.array([0, 3, 3], np.uint8)])
     {<Reason.JUMP: 3>: 2}
@@ -91,7 +91,7 @@ def count_by_reason(reasons: Iterable[Reasons]) -> dict[Reason, int]:
 
 
 def described_counts(counts: Mapping[Reason, int]) -> str:
-    """Counts by reason, for a person.
+    """Counts by reason, in words.
 
     >>> described_counts({Reason.JUMP: 2, Reason.NO_VALUE: 1})
     '2 (jumps faster than the air or a vehicle can change), 1 (no value)'
@@ -101,7 +101,7 @@ def described_counts(counts: Mapping[Reason, int]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class RemovedSamples:
-    """Samples that a channel no longer holds: (r,) times [Unix ns] and reasons."""
+    """Samples that were removed from a channel: (r,) times [Unix ns] and reasons."""
 
     time_ns: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     reason: Reasons = field(default_factory=lambda: np.empty(0, np.uint8))
@@ -110,7 +110,7 @@ class RemovedSamples:
         return int(self.time_ns.size)
 
     def and_also(self, time_ns: Integers, reason: Reasons) -> RemovedSamples:
-        """These and more, in the order of their times."""
+        """These samples and more, in the order of their times."""
         times = np.append(self.time_ns, time_ns)
         reasons = np.append(self.reason, reason)
         order = np.argsort(times, kind="stable")

@@ -36,9 +36,9 @@ AUTO = "auto"
 
 @dataclass(frozen=True)
 class SeasonAndPlace:
-    """Where and when a profile is wanted, see `climatology`.
+    """Where and when a profile is wanted; see `climatology.climatology`.
 
-    ``latitude_rad`` is None for a standard on its own.
+    ``latitude_rad``: None for a standard without a place.
     """
 
     latitude_rad: float | None = None
@@ -57,9 +57,10 @@ class SeasonAndPlace:
 
 @dataclass(frozen=True)
 class AtmosphereModel:
-    """How an atmosphere becomes a profile, and where its numbers are from.
+    """How the profile of an atmosphere is made, and the ``origin`` of its numbers, in words.
 
-    Also whether it has water vapour at all, and ``needs_place``: a latitude and a season.
+    ``has_humidity``: whether it has water vapour at all. ``needs_place``: whether it needs latitude
+    and season.
     """
 
     profile: Callable[[SeasonAndPlace, IndexModel], Profile]
@@ -69,9 +70,9 @@ class AtmosphereModel:
 
 
 def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> Profile:
-    """A climate table, or a standard from its breakpoints, dry.
+    """The profile of a climate table, or of a dry standard from its breakpoints.
 
-    Without a latitude it is under the gravity of its own.
+    Without a latitude in ``place`` its gravity is that of its own definition.
     """
     if name in climate_tables.climate_names():
         return climate_tables.climate_profile(name, index, place.gravity)
@@ -81,11 +82,11 @@ def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> P
     edge = np.array([row["geopotential_m"] for row in rows])
     temperature = np.array([row["temperature_k"] for row in rows])
     lapse = (temperature[1] - temperature[0]) / (edge[1] - edge[0])
-    # The troposphere's lapse rate goes on down, as ISO 2533 tabulates it.
+    # Below the lowest breakpoint the troposphere's lapse rate continues, as in ISO 2533.
     if edge[0] > climate_tables.LOWEST_GEOPOTENTIAL_M:
-        down = climate_tables.LOWEST_GEOPOTENTIAL_M - edge[0]
+        rise = climate_tables.LOWEST_GEOPOTENTIAL_M - edge[0]  # negative
         edge = np.append(climate_tables.LOWEST_GEOPOTENTIAL_M, edge)
-        temperature = np.append(temperature[0] + lapse * down, temperature)
+        temperature = np.append(temperature[0] + lapse * rise, temperature)
     constant = STANDARD_GRAVITY * first["m0_kg_per_kmol"] / first["r_star_j_per_kmol_k"]
     layers = stack_layers(
         edge,
@@ -99,15 +100,15 @@ def _tabulated_profile(name: str, place: SeasonAndPlace, index: IndexModel) -> P
 
 
 def _supplements(place: SeasonAndPlace, index: IndexModel) -> Profile:
-    """The Supplements at a latitude and season."""
+    """The Supplements at a latitude and season; at the equator without a latitude."""
     latitude_rad = place.latitude_rad or 0.0
     return climate_tables.supplements_profile(latitude_rad, place.month, index, place.gravity)
 
 
 def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
-    """The dry profile of NRLMSIS 2.1 at noon UTC, to 80 km.
+    """The dry profile of NRLMSIS 2.1 at noon UTC in the middle of the month, to 80 km.
 
-    It has the sea-level pressure of the Supplements. Source: Emmert et al. 2022, NRLMSIS 2.1,
+    Its pressure at sea level is that of the Supplements. Source: Emmert et al. 2022, NRLMSIS 2.1,
     doi:10.1029/2022JA030896.
     """
     try:
@@ -177,7 +178,7 @@ def known_names() -> tuple[str, ...]:
 
 
 def standard_names() -> tuple[str, ...]:
-    """Names that `standard_atmosphere` takes: dry standards first, then tables with humidity.
+    """Names for `standard_atmosphere`: dry standards first, then tables with humidity.
 
     >>> standard_names()[:5], standard_names()[5]
     (('us1976', 'us1962', 'icao', 'ardc1959', 'ican'), 'supplements1966_15n_annual')
@@ -195,9 +196,9 @@ def standard_atmosphere(
     """A standard atmosphere as a profile.
 
     ``name``: one of `standard_names`. ``index``: ``ciddor``, or ``gyer`` (Gyer 1996, Eq. 13), which
-    is of 0.589 um whatever the wavelength. ``wavelength_m``: in vacuum [m]. ``latitude``: geodetic
-    [rad]; it gives normal gravity, as the profile of a mission has. By default the standard keeps
-    the gravity of its own definition, a climatology that of its latitude.
+    is for 0.589 um and ignores the wavelength. ``wavelength_m``: in vacuum [m]. ``latitude``:
+    geodetic [rad], for normal gravity as in the profile of a mission. By default a standard has the
+    gravity of its own definition, and a climate table that of its latitude.
 
     Agrees with the tables of its definition to their last printed digit.
 

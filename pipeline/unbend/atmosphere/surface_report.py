@@ -22,15 +22,18 @@ _SEA_LEVEL_K = 288.15
 _LAPSE_K_PER_M = 0.0065
 _EXPONENT = 0.190263
 
+# Smallest and largest values that are accepted.
 _QNH_PA = (85_000.0, 110_000.0)
 _GROUND_K = (180.0, 333.0)
 _STATION_M = (-500.0, 6_000.0)
-# Half a step of the report's digits, and what an inspected station's sensor may be off.
-ROUNDING_OF_NUMBERS_C = 1e-6  # of the difference of two numbers in tenths
-_WHOLE_K = 0.5
-_TENTH_K = 0.3
+
+ROUNDING_OF_NUMBERS_C = 1e-6  # floating point error of the difference of two numbers in tenths
+ROUNDING_C = 0.5  # rounding of a dew point in whole degrees, where the temperature is in tenths
+
+# One sigma of a report: half a step of its digits, and the error of a good sensor.
+_WHOLE_K = 0.5  # whole degrees
+_TENTH_K = 0.3  # tenths of a degree
 _QNH_SIGMA_PA = 50.0
-ROUNDING_C = 0.5  # of a dew point in whole degrees beside a temperature in tenths
 
 
 @dataclass(frozen=True)
@@ -38,8 +41,8 @@ class SurfaceReport:
     """The air at the height ``h_m`` above sea level of a weather station, NaN where not reported.
 
     ``time_ns`` [Unix ns], None if unknown. ``origin``: ``METAR KOUN`` or ``mission file``. The
-    sigmas are of rounding and sensor, not of how far away the station is: ``distance_m`` from the
-    flight, ``across`` a coast or a ridge.
+    sigmas are of rounding and sensor, not of the distance. ``distance_m``: of the station from the
+    flight; ``across``: whether a coast or a ridge is between them.
     """
 
     h_m: float
@@ -56,15 +59,15 @@ class SurfaceReport:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """Name of the report in messages."""
         return f"surface report {self.origin}".strip()
 
 
 def station_pressure(altimeter_setting_pa: float, h_m: float) -> float:
     """Pressure at a station from its altimeter setting (QNH) [Pa].
 
-    p = (QNH^a - p0^a L h / T0)^(1/a) with a = 0.190263, the ICAO troposphere (ICAO Doc 7488): the
-    inverse of how the station made its QNH. ``h_m`` : elevation [m], -500 to 6000.
+    p = (QNH^a - p0^a L h / T0)^(1/a) with a = 0.190263, the ICAO troposphere (ICAO Doc 7488). This
+    inverts how the station computed its QNH. ``h_m`` : elevation [m], -500 to 6000.
 
     >>> round(station_pressure(101325.0, 1000.0), 0)
     89875.0
@@ -83,10 +86,10 @@ def parse_metar(
 ) -> SurfaceReport:
     """The air of a METAR or SPECI: temperature, dew point and altimeter setting.
 
-    ``station_h_m``: elevation of the station [m above sea level]; a METAR has none. ``flight_ns``:
-    a time of the flight [Unix ns]: a METAR has only the day of the month, and the nearest such day
-    is taken, unless a date stands before the report; without both the report has no time. ``where``
-    the text stands, for refusals.
+    ``station_h_m``: elevation of the station [m above sea level], which a METAR does not have.
+    ``flight_ns``: a time of the flight [Unix ns]. A METAR has only the day of the month: the day
+    nearest to a date before the report is taken, without one that nearest to the flight; without
+    both the report has no time. ``where``: place of the text, for error messages.
 
     Temperatures are whole degrees, tenths where the remarks have a T group. An altimeter setting
     is rounded down, to whole hPa (ICAO) or 0.01 inch (FAA), so half a step is added. Raises
@@ -98,7 +101,7 @@ def parse_metar(
     >>> report.temperature_k, round(report.pressure_pa)
     (268.15, 100023)
     """
-    _refuse_height(station_h_m, where)
+    _check_height(station_h_m, where)
     report = decode_metar(text, where)
     t = report.temperature_c + ZERO_CELSIUS_K
     dew = report.dew_point_c + ZERO_CELSIUS_K
@@ -116,16 +119,16 @@ def parse_metar(
             exchanged=f"{whole_degrees(report.dew_point_c)}/{whole_degrees(report.temperature_c)}",
         )
     time_ns = time_of_metar(report, flight_ns, where)
-    _note_what_is_wrong(report, where, ledger)
+    _note_defects(report, where, ledger)
     pressure = station_pressure(qnh, station_h_m) if math.isfinite(qnh) else math.nan
     # Without a temperature a dew point gives no humidity.
     dew = min(dew, t) if math.isfinite(t) else math.nan
-    usual = pressure if math.isfinite(pressure) else _SEA_LEVEL_PA
+    pressure_for_vapour = pressure if math.isfinite(pressure) else _SEA_LEVEL_PA
     return SurfaceReport(
         station_h_m,
         pressure,
         t,
-        float(vapour_pressure(1.0, dew, usual)),
+        float(vapour_pressure(1.0, dew, pressure_for_vapour)),
         time_ns,
         f"METAR {report.station}",
         _TENTH_K if report.in_tenths else _WHOLE_K,
@@ -133,8 +136,11 @@ def parse_metar(
     )
 
 
-def _note_what_is_wrong(report: Metar, where: str, ledger: Ledger) -> None:
-    """Groups that were not understood, a dew point above the temperature, missing quantities."""
+def _note_defects(report: Metar, where: str, ledger: Ledger) -> None:
+    """Add messages on a report to a ledger.
+
+    On groups that were not understood, a dew point above the temperature, and missing quantities.
+    """
     if report.complaints:
         groups = "; ".join(report.complaints)
         ledger.add(messages.metar_groups(where=where, count=len(report.complaints), groups=groups))
@@ -175,16 +181,16 @@ def surface_report(
 
     ``h_m``: height of the instruments [m above sea level], -500 to 6000. ``temperature_k``,
     ``pressure_pa`` at that height, not reduced to the sea; NaN if unknown. ``relative_humidity``: 0
-    to 1 over water; needs the temperature. ``where`` the numbers stand, for refusals.
+    to 1 over water; needs the temperature. ``where``: place of the numbers, for error messages.
 
-    Raises ``InputError`` where values cannot be those of air at the ground, as Fahrenheit taken
-    for Celsius, or QNH taken for the station's pressure 650 m up, are not. Missions are also
+    Raises ``InputError`` where values cannot be those of air at the ground, for example Fahrenheit
+    given as Celsius, or the QNH of a station at 650 m given as its pressure. Missions are also
     checked by place and season, see `unbend.stages.air_sources`.
 
     >>> surface_report(100.0, temperature_k=293.15, relative_humidity=0.5).pressure_pa
     nan
     """
-    _refuse_height(h_m, where)
+    _check_height(h_m, where)
     if not (math.isfinite(temperature_k) or math.isfinite(pressure_pa)):
         raise messages.surface_empty(where=where)
     if temperature_k < _GROUND_K[0] or temperature_k > _GROUND_K[1]:
@@ -206,6 +212,7 @@ def surface_report(
     return SurfaceReport(h_m, pressure_pa, temperature_k, e, time_ns, "mission file")
 
 
-def _refuse_height(h_m: float, where: str) -> None:
+def _check_height(h_m: float, where: str) -> None:
+    """Raise ``InputError`` for a height [m] at which there is no weather station."""
     if not _STATION_M[0] <= h_m <= _STATION_M[1]:
         raise messages.surface_height(where=where, height_m=h_m)

@@ -178,7 +178,7 @@ def test_a_second_minimum_is_left_from_where_another_hypothesis_ended(monkeypatc
     monkeypatch.setattr(solver, "prior_of", lambda *_: None)
     hypotheses = [Hypothesis("usual", 0.9, "usual"), Hypothesis("bay", 0.1, "bay")]
     air = SimpleNamespace(profile=None)
-    usual, bay = solver._solved(hypotheses, (), air, air)
+    usual, bay = solver._solve_hypotheses(hypotheses, (), air, air)
     assert starts == [("usual", None), ("bay", None), ("usual", "of bay")]
     assert usual.log_inflation == kept
     assert bay.x == "of bay"

@@ -37,6 +37,7 @@ from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate.binning import bin_readings
 from unbend.atmosphere.estimate.estimate_checks import is_plausible
 from unbend.atmosphere.estimate.hypotheses import hypotheses_of
+from unbend.atmosphere.estimate.knots import place_knots
 from unbend.atmosphere.estimate.readings import collect_readings
 from unbend.atmosphere.estimate.sensors import (
     THERMOMETER_FAULTS,
@@ -51,7 +52,6 @@ from unbend.atmosphere.estimate.state import (
     Layout,
     SensorFault,
     air_of,
-    place_knots,
     prior_of,
 )
 from unbend.atmosphere.layers import stack_layers

@@ -252,7 +252,7 @@ def test_a_window_counts_its_readings_once(changing):
         hours,
     )
 
-    once = estimate(part, background, settings=whole.settings, known=faults)
+    once = estimate(part, background, settings=whole.settings, known_faults=faults)
 
     h = np.linspace(500.0, 6000.0, 12)
     for name in SIGMAS:

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.helpers import refused, with_code
 from tests.ingest.written_logs import ULogWriter, entry_in, loss_codes
-from unbend.atmosphere.estimate.sensors import dynamic_of, heating_of
+from unbend.atmosphere.estimate.sensors import airspeed_heating, dynamic_pressure
 
 NOW_US = 1_700_000_000_000_000
 SHOT = "uint64_t timestamp_utc;uint32_t seq;double lat;double lon;"
@@ -355,8 +355,8 @@ def test_a_pitot_tube_gives_dynamic_pressure_and_heating(opened):
         writer.row("airspeed", "3f", 5_000_000 + 100_000 * k, *row)
     channel = opened(writer.data).channel("airspeed")
     assert "airspeed" in channel.roles
-    assert dynamic_of(channel["airspeed_m_s"])[0] == pytest.approx(dynamic, rel=1e-6)
-    heating = heating_of(channel["airspeed_m_s"], pressure, channel["temperature_k"])
+    assert dynamic_pressure(channel["airspeed_m_s"])[0] == pytest.approx(dynamic, rel=1e-6)
+    heating = airspeed_heating(channel["airspeed_m_s"], pressure, channel["temperature_k"])
     assert_allclose(heating, true**2 / (2.0 * 1004.7), rtol=1e-3)
 
 

@@ -1,7 +1,7 @@
 """The locally adjusted profile: the climatology, adjusted to what the flight measured.
 
-Sensors are checked, candidates are estimated in turn until one passes the checks of estimates, and
-the result says in words why the profile is what it is. The estimate itself is made in `solver`.
+Sensors are checked, and candidates are estimated in turn until one passes the checks of estimates.
+The result gives in words why the profile is what it is. The estimate itself is made in `solver`.
 """
 
 import math
@@ -16,13 +16,7 @@ from unbend.atmosphere.air_variation import solar_hour
 from unbend.atmosphere.barometer_errors import NO_ERRORS, BarometerErrors
 from unbend.atmosphere.climatology import Climatology, climatology, month_of
 from unbend.atmosphere.covariance import ProfileCovariance
-from unbend.atmosphere.estimate import (
-    candidates,
-    estimate_checks,
-    messages,
-    sensor_checks,
-    sensors,
-)
+from unbend.atmosphere.estimate import candidates, estimate_checks, messages, sensor_checks, sensors
 from unbend.atmosphere.estimate.candidates import Candidate, ExternalSources, SourceUse
 from unbend.atmosphere.estimate.external_readings import (
     TimeAndPlace,
@@ -44,28 +38,28 @@ from unbend.messages import Ledger, Message
 from unbend.units import Array, Mask
 
 WIDEST_GAP_M = 400.0
-"""Between two measured heights farther apart than this the layers are called relaxed [m']."""
+"""Layers between two measured heights that are farther apart are not called measured [m']."""
 
-FEWEST_TO_INFLATE = 5  # the estimator never inflates the sigmas of fewer readings
+FEWEST_TO_INFLATE = 5  # the estimator never inflates the sigmas of a set with fewer readings
 _NO_AIR_FITS = "with it, no air fits the measurements of the flight"
 
 # Bases of a profile without any measurement.
 UNMEASURED = "climatology"
 UNADJUSTED = "standard"
 
-_LEARNT_SHARE = 0.7  # of the expected sigma, below which a sensor's fault is told
+_LEARNT_SHARE = 0.7  # of the prior sigma: a sensor fault with less is reported as determined
 
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
     """A profile, and how it was made.
 
-    ``basis`` is thermometer | both | barometer | sounding | surface | climatology | standard, and
-    ``reason`` why; ``time_ns`` is the middle of the samples that were used. ``covariance`` is None
-    for a standard as it is; ``rejected`` says of each sensor why samples are not used, also of one
-    that is not used at all, and ``sensor_uses`` counts them; both are empty where nothing was
-    estimated. ``samples``,
-    ``settings`` and ``moisture`` are what the estimate was made from, None where there is none.
+    ``standard``: shown beside it. ``basis``: thermometer | both | barometer | sounding |
+    weather model | surface | climatology | standard; ``reason``: why, in words. ``time_ns``: middle
+    of the samples of the main sensor. ``covariance``: None for an unchanged standard.
+    ``rejected``: by quantity, why samples are not used, also of a sensor that is not used at all;
+    ``sensor_uses`` counts them; both are empty where nothing was estimated. ``samples``,
+    ``settings`` and ``moisture``: what the estimate was made from, None without one.
     """
 
     profile: Profile
@@ -85,19 +79,19 @@ class Adjustment:
 
     @property
     def is_measured(self) -> bool:
-        """Whether the profile rests on any measurement."""
+        """Whether the profile is from any measurement."""
         return self.basis not in (UNMEASURED, UNADJUSTED)
 
     @property
     def barometer_errors(self) -> BarometerErrors:
-        """Those that the flight has determined; none without a barometer."""
-        if self.settings is None or self.settings.highest is None:
+        """The errors of the barometer by the estimate; `NO_ERRORS` without a barometer."""
+        if self.settings is None or self.settings.highest_log_p is None:
             return NO_ERRORS
         values = {fault.fault: fault.value for fault in self.faults}
         return BarometerErrors(
             offset_pa=values.get(SensorFault.PRESSURE_OFFSET, 0.0),
             lost_share=values.get(SensorFault.PRESSURE_SCALE, 0.0),
-            highest_pa=math.exp(self.settings.highest),
+            highest_pa=math.exp(self.settings.highest_log_p),
         )
 
 
@@ -177,20 +171,20 @@ def build_adjusted_profile(
 
 @dataclass(frozen=True, eq=False)
 class _Sources:
-    """What the air could be made from.
+    """The sources of the air.
 
-    ``given`` by a log, what of it is ``usable``, soundings and stations, and why some of these are
-    ``unused``, by their names.
+    ``logged``: samples of the log; ``usable``: these after the sensor checks; ``external``: all
+    soundings and stations; ``unused``: why some of them are not used, by name.
     """
 
-    given: AirSamples
+    logged: AirSamples
     usable: AirSamples
     external: ExternalSources
     unused: dict[str, str]
 
 
 def _middle_of_samples(samples: AirSamples) -> int | None:
-    """The middle of the samples of the first sensor that has any [Unix ns]."""
+    """Middle of the accepted samples of the first sensor that has any [Unix ns]; None without."""
     for sensor in samples.sensors.values():
         if sensor.middle_ns is not None:
             return sensor.middle_ns
@@ -198,11 +192,9 @@ def _middle_of_samples(samples: AirSamples) -> int | None:
 
 
 def _expected_air(
-    standard: Profile,
-    background: Climatology | None,
-    flight: TimeAndPlace,
+    standard: Profile, background: Climatology | None, flight: TimeAndPlace
 ) -> ExpectedAir:
-    """The air expected in a flight: a background, or a standard with the spread about it."""
+    """The air expected in a flight: the background, or without one the standard and its spread."""
     of_season = partial(
         climatology,
         latitude_rad=flight.latitude_rad,
@@ -216,11 +208,12 @@ def _expected_air(
 
 
 def _sources_too_far(
-    external: ExternalSources,
-    flight: TimeAndPlace,
-    ledger: Ledger,
+    external: ExternalSources, flight: TimeAndPlace, ledger: Ledger
 ) -> dict[str, str]:
-    """Soundings and stations that tell nothing of the flight, by their names, and why."""
+    """Why soundings and stations are too old or too far away to be used, by name.
+
+    Those that can be used are left out. Adds a message on each to the ledger.
+    """
     too_far = {}
     for source in external.sources:
         reason = reason_uninformative(source, flight)
@@ -237,7 +230,10 @@ def _contradicting_soundings(
     expected: ExpectedAir,
     settings: SensorSettings,
 ) -> dict[str, str]:
-    """Soundings that the climatology or the flight's own sensors contradict, and why."""
+    """Why soundings are not used, by name: the climatology or the flight's sensors contradict them.
+
+    The flight's sensors do so by an estimate without any sounding or station.
+    """
     estimate_alone = None
     if soundings:
         choices = candidates.candidates(usable, (), ())
@@ -245,10 +241,7 @@ def _contradicting_soundings(
         if passed is not None:
             estimate_alone = passed.made
     return estimate_checks.reasons_against(
-        soundings,
-        estimate_alone,
-        expected.background,
-        expected.flight,
+        soundings, estimate_alone, expected.background, expected.flight
     )
 
 
@@ -259,16 +252,16 @@ def _kept_background(
     settings: SensorSettings,
     ledger: Ledger,
 ) -> Adjustment:
-    """The background as it is, where no estimate passed its checks."""
+    """The unchanged background as the result, where no estimate passed its checks."""
     background = expected.background
     is_standard = background.profile.name == expected.standard.name
     kind = "standard atmosphere" if is_standard else "climatology"
-    kept = f"the {kind} {background.profile.name}"
-    reason = candidates.reason_unadjusted(sources.usable, trials.faults, kept)
+    kept_background = f"the {kind} {background.profile.name}"
+    reason = candidates.reason_unadjusted(sources.usable, trials.faults, kept_background)
     ledger.add(messages.air_standard(reason=reason))
     ledger.extend(sensor_checks.unused_calibration(set(settings.calibration)))
     covariance = covariance_of_background(background)
-    rejected = _rejected_samples(sources.given, sources.usable, {})
+    rejected = _rejected_samples(sources.logged, sources.usable, {})
     return Adjustment(
         profile=covariance.profile,
         standard=expected.standard,
@@ -277,7 +270,7 @@ def _kept_background(
         covariance=covariance,
         sources=_usage(trials, sources, expected, None, ()),
         rejected=rejected,
-        sensor_uses=sensor_uses(sources.given, rejected),
+        sensor_uses=sensor_uses(sources.logged, rejected),
     )
 
 
@@ -290,7 +283,10 @@ def _adjusted(
     *,
     ledger: Ledger,
 ) -> Adjustment:
-    """The profile of an estimate that passed, with what is to be said of it."""
+    """The result from an estimate that passed; messages on it are added to the ledger.
+
+    Adds the sources that the estimate leaves out to ``sources.unused``.
+    """
     candidate, made = passed
     misfits = dict.fromkeys(candidate.external.left_out, _NO_AIR_FITS)
     ledger.extend(_refused_sources(misfits))
@@ -310,9 +306,9 @@ def _adjusted(
     estimate_with = partial(expected.estimate_of, candidate)
     ledger.extend(sensor_checks.check_calibration(made, settings, estimate_with))
     for readings in made.readings.sets:
-        if isinstance(readings, sensors.Barometer):  # pressure changes since here, in parts too
-            settings = replace(settings, highest=readings.highest)
-    rejected = _rejected_samples(sources.given, sources.usable, made.readings.rejected)
+        if isinstance(readings, sensors.Barometer):  # estimates of parts of the flight need it
+            settings = replace(settings, highest_log_p=readings.highest_log_p)
+    rejected = _rejected_samples(sources.logged, sources.usable, made.readings.rejected)
     return Adjustment(
         profile=profile,
         standard=expected.standard,
@@ -323,7 +319,7 @@ def _adjusted(
         faults=made.faults,
         sources=_usage(trials, sources, expected, candidate.samples, made.fits),
         rejected=rejected,
-        sensor_uses=sensor_uses(sources.given, rejected),
+        sensor_uses=sensor_uses(sources.logged, rejected),
         samples=candidate.samples,
         settings=settings,
         moisture=expected.moisture,
@@ -337,9 +333,12 @@ def _usage(
     used: AirSamples | None,
     fits: Sequence[Fit],
 ) -> tuple[SourceUse, ...]:
-    """How each source is used, or why it is not."""
+    """How each source is used, or why it is not.
+
+    ``used``, ``fits``: samples and fits of the estimate that passed; None and empty without one.
+    """
     flown = candidates.UsedSamples(
-        given=sources.given,
+        logged=sources.logged,
         usable=sources.usable,
         tried=trials.tried,
         used=used,
@@ -356,15 +355,16 @@ def _usage(
 
 
 def _rejected_samples(
-    given: AirSamples,
-    usable: AirSamples,
-    of_estimate: Mapping[str, Reasons],
+    logged: AirSamples, usable: AirSamples, by_estimate: Mapping[str, Reasons]
 ) -> dict[str, Reasons]:
-    """Why samples of each sensor are not used; of one that the estimate lacks, none is."""
+    """Why samples of each sensor are not used, by quantity.
+
+    ``by_estimate``: the reasons of the estimate's sensors; all samples of other sensors are unused.
+    """
     rejected: dict[str, Reasons] = {}
-    for quantity, sensor in given.sensors.items():
-        if quantity in of_estimate:
-            rejected[quantity] = of_estimate[quantity]
+    for quantity, sensor in logged.sensors.items():
+        if quantity in by_estimate:
+            rejected[quantity] = by_estimate[quantity]
             continue
         checked = usable.sensors.get(quantity, sensor)
         all_rows = np.ones(checked.rejected.shape, np.bool_)
@@ -373,13 +373,13 @@ def _rejected_samples(
 
 
 def _refused_sources(reasons: Mapping[str, str]) -> Iterator[Message]:
-    """What is reported of sources that contradict others, by their names."""
+    """Messages on sources that contradict others; ``reasons`` by their names."""
     for name, reason in reasons.items():
         yield messages.source_refused(name=name, reason=reason)
 
 
 def covariance_of_background(background: Climatology) -> ProfileCovariance:
-    """Of the background as it is, in layers fine enough to carry its covariance."""
+    """The covariance of the unchanged background, with a profile in layers as fine as it needs."""
     made = estimate(AirSamples(), background)
     edge = made.profile.layers.edge
     profile = background.profile
@@ -396,7 +396,12 @@ def covariance_of_background(background: Climatology) -> ProfileCovariance:
 
 
 def _sources_of_layers(made: Estimate) -> tuple[str, ...]:
-    """Source of each layer: a thermometer's heights, a barometer's, neighbours, or nothing."""
+    """Source of each layer (`layers.MEASURED` ... `layers.STANDARD`).
+
+    Measured between the heights of a thermometer, balloon or station; else barometric between those
+    of a barometer; else relaxed where the sigma is smaller than that of the background; else
+    standard.
+    """
     edge = made.profile.layers.edge
     middle = 0.5 * (edge[1:] + edge[:-1])
     thermometers = (sensors.Thermometer, sensors.Temperatures)
@@ -416,31 +421,31 @@ def _is_between_readings(
     kinds: tuple[type, ...],
     widest_m: float,
 ) -> Mask:
-    """Which heights lie between two readings of some kinds that are at most so far apart [m']."""
-    read = [np.array([-np.inf, np.inf])]
+    """Which heights (n,) [m'] are between readings of these kinds at most ``widest_m`` apart."""
+    heights_of_sets = [np.array([-np.inf, np.inf])]  # so that each height has two neighbours
     for readings in made.readings.sets:
         if isinstance(readings, kinds):
-            read.append(readings.height)
-    heights = np.sort(np.concatenate(read))
-    above = np.searchsorted(heights, height)
-    return np.asarray(heights[above] - heights[above - 1] <= widest_m)
+            heights_of_sets.append(readings.height)
+    read_at = np.sort(np.concatenate(heights_of_sets))
+    next_above = np.searchsorted(read_at, height)
+    return np.asarray(read_at[next_above] - read_at[next_above - 1] <= widest_m)
 
 
 def under_gravity(standard: Profile, latitude_rad: float) -> Profile:
-    """A standard's layers in geopotential height, under the gravity of a latitude."""
+    """A standard with the normal gravity of a latitude; its layers in geopotential height stay."""
     return replace(standard, gravity=normal_gravity(latitude_rad))
 
 
 def unadjusted(standard: Profile, reason: str) -> Adjustment:
-    """A standard atmosphere in the place of an adjusted profile, with the reason in words."""
+    """An unchanged standard atmosphere as the result, with the reason in words."""
     return Adjustment(standard, standard, UNADJUSTED, reason)
 
 
 def _notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
-    """What the profile lacks, and which readings it departs from.
+    """Messages on an estimate.
 
-    That is what replaces a missing thermometer or hygrometer, a failed convergence, sensor faults
-    that the flight determined, readings that do not fit, and outliers.
+    What replaces a missing thermometer or hygrometer, a failed convergence, sensor faults that the
+    flight determined, readings that do not fit, and outliers.
     """
     if candidate.basis == "barometer":
         where = candidate.main.name if candidate.main else ""
@@ -449,24 +454,24 @@ def _notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
         yield messages.air_humidity_expected()
     if not made.converged:
         yield messages.air_unsettled()
-    learnt = []
+    determined = []
     for fault in made.faults:
         if fault.sigma < _LEARNT_SHARE * fault.prior_sigma:
-            learnt.append(sensor_checks.described_fault(fault))
-    if learnt:
-        yield messages.air_sensors(count=len(learnt), faults="; ".join(learnt))
+            determined.append(sensor_checks.described_fault(fault))
+    if determined:
+        yield messages.air_sensors(count=len(determined), faults="; ".join(determined))
     for fit in made.fits:
         yield from _misfit_notes(candidate, fit)
     yield from _outlier_notes(candidate, made)
 
 
 def _misfit_notes(candidate: Candidate, fit: Fit) -> Iterator[Message]:
-    """That a set of readings does not fit the others, if it does not."""
-    few = fit.count < FEWEST_TO_INFLATE
-    misfit = fit.rms if few else fit.sigma_inflation
+    """A message on a set of readings that does not fit the others; none if it fits."""
+    is_never_inflated = fit.count < FEWEST_TO_INFLATE
+    misfit = fit.rms if is_never_inflated else fit.sigma_inflation
     if misfit <= estimate_checks.MISFIT:
         return
-    if few and fit.name in candidate.external.names:
+    if is_never_inflated and fit.name in candidate.external.names:
         yield messages.air_contradicted(
             where=fit.name,
             count=fit.count,
@@ -484,7 +489,7 @@ def _misfit_notes(candidate: Candidate, fit: Fit) -> Iterator[Message]:
 
 
 def _outlier_notes(candidate: Candidate, made: Estimate) -> Iterator[Message]:
-    """How many readings of each sensor are outliers, if any are."""
+    """A message on the outliers of each sensor that has any."""
     for quantity, rejected in made.readings.rejected.items():
         count = int(np.count_nonzero(rejected == Reason.OUTLIER))
         if count:

@@ -20,7 +20,8 @@ OUTLIER_SIGMA = 4.5
 """Readings farther from the median of their bin are outliers: 7 in a million of normal errors."""
 
 CORRELATED_S = 2.0
-"""Noise of a sensor is independent after so long [s]: 10 Hz are not 20 times as good as 0.5 Hz."""
+"""Noise of a sensor is independent after so long [s]: samples at 10 Hz have no more information
+than samples every 2 s."""
 
 MOST_DIFFERENT = 0.5  # share of readings that differ, above which a sensor shows no steps
 
@@ -29,10 +30,11 @@ _SEVERAL = 5  # readings of a bin that show the scatter of a sensor
 
 @dataclass(frozen=True, eq=False)
 class Bins:
-    """Means of readings in bins; (m,) arrays, in no particular order.
+    """Means of readings in bins; (m,) arrays, ordered by time slice, then direction, then height.
 
-    Mean ``seconds`` since the epoch, geopotential ``height`` [m'] and value; ``sigma`` of it from
-    the scatter of the ``count`` readings; ``rejected`` (n,) the outliers among all.
+    Mean ``seconds`` since the start, geopotential ``height`` [m'] and ``value``; ``sigma`` of the
+    mean value, from the scatter of the ``count`` readings. ``rejected`` (n,): which of all readings
+    are outliers.
     """
 
     seconds: Array
@@ -45,21 +47,22 @@ class Bins:
 
 @dataclass(frozen=True, eq=False)
 class Digits:
-    """The readings (n,) as a sensor gave them, and the ``step`` between two that it tells apart.
+    """The readings (n,) as a sensor gave them, and the ``step`` between two neighbouring ones.
 
-    The step is in the unit of the departures that are averaged.
+    The step, one or (n,), is in the unit of the values that are averaged, which may be another.
+    ``use`` (u,) are the rows that are averaged, ``bin_of`` (u,) the bin of each.
     """
 
     reading: Array
     step: Array | float
 
     def sigma(self, use: Rows, bin_of: Rows) -> Array:
-        """(m,) sigma of a reading for its last digit, in each bin of the rows in ``use``."""
+        """(m,) mean sigma of a reading in each bin by rounding to the step: step / sqrt(12)."""
         step = np.broadcast_to(self.step, self.reading.shape)
-        of_rows = step[use] / np.sqrt(12.0)
-        return np.bincount(bin_of, of_rows) / np.bincount(bin_of)
+        sigma_of_rows = step[use] / np.sqrt(12.0)
+        return np.bincount(bin_of, sigma_of_rows) / np.bincount(bin_of)
 
-    def different(self, use: Rows, bin_of: Rows) -> Array:
+    def count_different(self, use: Rows, bin_of: Rows) -> Array:
         """(m,) how many different readings each bin has."""
         pairs = np.unique(np.stack([bin_of, self.reading[use]]), axis=1)
         bins_of_pairs = pairs[0].astype(np.int64)
@@ -77,14 +80,15 @@ def bin_readings(
     floor: float,
     digits: Digits | None = None,
 ) -> Bins:
-    """Means without outliers, of readings alike in height, direction and time.
+    """Means of readings in bins of height, direction of flight and time, without outliers.
 
     ``seconds``, ``height``, ``value``: (n,) time [s], geopotential height [m'], reading in any
-    unit, best as a departure from something that follows the height. ``accepted``: (n,) readings
-    to use. ``width``, ``slice_s``: of a bin, in height [m'] and in time [s]. ``floor``: smallest
-    scatter that is assumed. Scatter is 1.4826 times the median absolute deviation, that of the
-    sensor or of the bin, whichever is larger. The last of the ``digits`` that were read is
-    off by as much in all readings that are the same, so that only different ones average it.
+    unit, best as a departure from a profile, so that height within a bin matters less.
+    ``accepted``: (n,) readings to use. ``width``, ``slice_s``: of a bin, in height [m'] and in time
+    [s]. ``floor``: smallest scatter that is assumed, in the unit of the values. Scatter is 1.4826
+    times the median absolute deviation, of the bin or in the median of all bins, whichever is
+    larger. ``digits``: the readings and their resolution; None if this is fine enough. Equal
+    readings have the same rounding error, so only different ones average it.
     """
     use = np.flatnonzero(accepted & np.isfinite(height) & np.isfinite(value))
     rejected = np.zeros(seconds.size, dtype=bool)
@@ -94,30 +98,32 @@ def bin_readings(
     bin_of = bins_of(seconds[use], height[use], direction, width=width, slice_s=slice_s)
     reading = value[use]
     size = np.bincount(bin_of)
-    of_digit = np.zeros(size.size) if digits is None else digits.sigma(use, bin_of)
+    rounding = np.zeros(size.size) if digits is None else digits.sigma(use, bin_of)
     deviation = np.abs(reading - _medians(bin_of, reading, size)[bin_of])
-    scatter = np.hypot(_scatter_of_bins(bin_of, deviation, size, floor), of_digit)
+    scatter = np.hypot(_scatter_of_bins(bin_of, deviation, size, floor), rounding)
     is_outlier = deviation > OUTLIER_SIGMA * scatter[bin_of]
     rejected[use[is_outlier]] = True
 
-    mean = _Means(bin_of, (~is_outlier).astype(np.float64))
-    middle = mean.of(seconds[use])
-    lasted = np.sqrt(12.0 * mean.of((seconds[use] - middle[bin_of]) ** 2))
-    independent = np.minimum(mean.count, 1.0 + lasted / CORRELATED_S)
+    bins = _WeightedBins(bin_of, (~is_outlier).astype(np.float64))
+    middle = bins.means(seconds[use])
+    # Times spread evenly over a duration have a variance of a twelfth of its square.
+    duration = np.sqrt(12.0 * bins.means((seconds[use] - middle[bin_of]) ** 2))
+    independent = np.minimum(bins.count, 1.0 + duration / CORRELATED_S)
     sigma = scatter / np.sqrt(independent)
     if digits is not None:
-        sigma = np.hypot(sigma, of_digit / digits.different(use, bin_of))
+        sigma = np.hypot(sigma, rounding / digits.count_different(use, bin_of))
     return Bins(
         seconds=middle,
-        height=mean.of(height[use]),
-        value=mean.of(reading),
+        height=bins.means(height[use]),
+        value=bins.means(reading),
         sigma=sigma,
-        count=mean.count.astype(np.int64),
+        count=bins.count.astype(np.int64),
         rejected=rejected,
     )
 
 
 def _no_bins(rejected: Mask) -> Bins:
+    """Empty bins, where no reading can be used."""
     return Bins(
         seconds=np.empty(0),
         height=np.empty(0),
@@ -129,7 +135,10 @@ def _no_bins(rejected: Mask) -> Bins:
 
 
 def directions_of(seconds: Array, height: Array) -> Array:
-    """(n,) +1 climbing, 0 level, -1 descending: by the change of height over ten seconds."""
+    """(n,) 1 where climbing, 0 level, -1 descending, by the change of height over ten seconds.
+
+    ``seconds``, ``height``: (n,) times [s] and heights [m'].
+    """
     rate = climb_of(seconds, height) / CLIMB_WINDOW_S
     is_vertical = np.abs(rate) > CLIMBING_M_S
     return np.asarray(np.sign(rate) * is_vertical)
@@ -143,11 +152,15 @@ def bins_of(
     width: float,
     slice_s: float,
 ) -> Rows:
-    """(n,) numbers of the bins of readings: of a slice of time, a direction and a level."""
+    """(n,) the bin of each reading, from 0: readings share a time slice, a direction and a level.
+
+    ``direction`` (n,): see `directions_of`. ``width``, ``slice_s``: of a bin, in height [m'] and in
+    time [s].
+    """
     level = np.floor(height / width)
     levels = np.ptp(level) + 1.0
     time_slice = np.floor((seconds - seconds.min()) / slice_s)
-    directed_slice = time_slice * 3.0 + direction + 1.0
+    directed_slice = time_slice * 3.0 + direction + 1.0  # of the three directions: 0, 1 or 2
     key = directed_slice * levels + level - level.min()
     _, bin_of = np.unique(key, return_inverse=True)
     return bin_of
@@ -159,36 +172,40 @@ def _scatter_of_bins(
     size: Integers,
     floor: float,
 ) -> Array:
-    """(m,) sigma of a reading in each bin: that of the bin, or of the sensor if that is larger."""
-    spread = 1.4826 * _medians(bin_of, deviation, size)
-    of_sensor = floor
+    """(m,) one sigma of a reading in each bin, by the scatter of the bin or of the whole sensor.
+
+    The larger of both. ``deviation`` (n,): distance of each reading from the median of its bin.
+    ``size`` (m,): readings in each bin. ``floor``: smallest scatter of a sensor.
+    """
+    scatter = 1.4826 * _medians(bin_of, deviation, size)
+    scatter_of_sensor = floor
     is_full = size >= _SEVERAL
     if is_full.any():
-        of_sensor = max(floor, float(np.median(spread[is_full])))
-    return np.asarray(np.maximum(spread, of_sensor))
+        scatter_of_sensor = max(floor, float(np.median(scatter[is_full])))
+    return np.asarray(np.maximum(scatter, scatter_of_sensor))
 
 
 @dataclass(frozen=True, eq=False)
-class _Means:
-    """Means over the bins of readings (n,); ``weight`` (n,) is 1, or 0 of an outlier."""
+class _WeightedBins:
+    """The bin of each reading (n,), and its ``weight`` (n,): 1, or 0 of an outlier."""
 
     bin_of: Rows
     weight: Array
 
     @cached_property
     def count(self) -> Array:
-        """(m,) how many readings each bin has."""
+        """(m,) how many readings each bin has, without outliers."""
         return np.asarray(np.bincount(self.bin_of, self.weight), np.float64)
 
-    def of(self, values: Array) -> Array:
-        """(m,) means of values (n,)."""
+    def means(self, values: Array) -> Array:
+        """(m,) means over each bin of values (n,), without outliers."""
         return np.asarray(np.bincount(self.bin_of, self.weight * values) / self.count)
 
 
 def resolution_of(sensor: SensorSamples) -> float:
-    """The smallest step between readings of a sensor that differ, to a hundredth of their unit.
+    """The smallest difference between different readings of a sensor, to a hundredth of their unit.
 
-    0 where few of them are the same: the last digit is then noise like other.
+    0 if more than half of the readings are different: rounding is then part of the noise.
 
     >>> whole = np.array([101_300.0, 101_200.0]).repeat(3)
     >>> resolution_of(SensorSamples(np.arange(6), np.arange(6.0), whole))
@@ -202,9 +219,9 @@ def resolution_of(sensor: SensorSamples) -> float:
 
 
 def _medians(bin_of: Rows, value: Array, size: Integers) -> Array:
-    """Median of the values of each bin."""
+    """(m,) median of the values (n,) of each bin; ``size`` (m,) is how many it has."""
     ordered = value[np.lexsort((value, bin_of))]
-    start = np.concatenate([[0], np.cumsum(size)[:-1]])
+    start = np.concatenate([[0], np.cumsum(size)[:-1]])  # of each bin among the ordered values
     lower = ordered[start + (size - 1) // 2]
     upper = ordered[start + size // 2]
     return np.asarray(0.5 * (lower + upper))

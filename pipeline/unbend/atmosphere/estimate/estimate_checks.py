@@ -1,4 +1,4 @@
-"""Checks of an estimate: physical air that predicts readings held out, and sensors that fit it."""
+"""Checks of an estimate, of soundings, and of a hygrometer, by physics and climatology."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,12 @@ from unbend.atmosphere.estimate import external_readings, messages
 from unbend.atmosphere.estimate.sensors import Barometer, Humidities, Readings, Thermometer
 from unbend.atmosphere.estimate.solver import Estimate, layout_of, solve
 from unbend.atmosphere.estimate.state import AirAtKnots, air_of, prior_of
-from unbend.atmosphere.hypsometry import ADIABATIC_K_PER_M, COLDEST_K, WARMEST_K, hats
+from unbend.atmosphere.hypsometry import (
+    ADIABATIC_K_PER_M,
+    COLDEST_K,
+    WARMEST_K,
+    interpolation_weights,
+)
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.soundings import Sounding
 from unbend.atmosphere.soundings.level_checks import DRIEST_RH
@@ -27,12 +32,12 @@ CERTAIN = 3.0  # sigmas by which a lapse rate must exceed the adiabatic one
 FARTHEST = 5.0
 """Sigmas of the climatology that no air of the real soundings comes near (2.9 at most)."""
 
-UNCHANGED = 0.95  # where a sigma is still this much of the climatology's, nothing was learnt
+UNCHANGED = 0.95  # share of the prior sigma: with a larger sigma readings have no information
 LEAST_RAY_M = 100.0  # height over which sigmas of R are compared where less was flown [m]
 
 HARMLESS_K = 1.0
 HARMLESS_LOG_P = 1e-3
-"""Held-out residuals of so little are no reason to fall back: a sharp inversion leaves them."""
+"""Held-out residuals up to these do not fail an estimate: a sharp inversion has such residuals."""
 
 HIGHEST_DEW_POINT_K = 308.15  # the highest ever reported near the ground, 35 C on the Persian Gulf
 
@@ -46,19 +51,19 @@ CLOUD_EXCESS_K_PER_M = 3e-3
 """Air whose readings are saturated, nine of ten over so much height [m'], does not cool by 3 K/km
 more than the saturated adiabat."""
 
-DRY_BELOW_M = 3000.0  # no air below is as dry as `DRIEST_RH` throughout
+DRY_BELOW_M = 3000.0  # air below is not as dry as `DRIEST_RH` throughout [m]
 
-UNLIKELY_COLUMN = 4.0  # sigmas of the climatology; 10 hPa, or 90 m of height, are one of pressure
+UNLIKELY_COLUMN = 4.0  # sigmas of the climatology; one of pressure is 10 hPa, or 90 m of height
 
-LEAST_COMMON_M = 300.0  # height that a column shares with sensors that can contradict it [m']
-CONTRADICTED_K = 2.0  # they do by more than this
-CONTRADICTED = 4.5  # and by more than so many sigma
+LEAST_COMMON_M = 300.0  # heights that a column must share with the flight's sensors [m']
+CONTRADICTED_K = 2.0  # they contradict it if they differ by more than this
+CONTRADICTED = 4.5  # and by more than so many sigmas
 
 MISFIT = 5.0  # readings with a larger sigma inflation factor disagree with the others
 
 _STEP_M = 50.0  # between heights at which an estimate is checked [m']
-_COLUMN_M = 3000.0  # of a column are compared with the climatology
-_COMPARED_HEIGHTS = 30  # of a column with the flight's own sensors
+_COLUMN_M = 3000.0  # thickness of the lowest part of a column that is compared with the climatology
+_COMPARED_HEIGHTS = 30  # at which a column is compared with the flight's own sensors
 _SIGMA_OF_MEDIAN = 1.4826  # one sigma over the median distance from the median
 _LEAST_RH = 0.01  # divisor of a sigma of relative humidity
 _SATURATION_K = 5400.0  # d ln e_s / dT is about this over T^2
@@ -66,7 +71,7 @@ _SATURATION_K = 5400.0  # d ln e_s / dT is about this over T^2
 
 @dataclass(frozen=True)
 class Check:
-    """Result of a check: true where it is passed, else with the reason in words."""
+    """Result of a check: true if it is passed; else ``reason`` states in words why it failed."""
 
     reason: str = ""
 
@@ -78,13 +83,13 @@ PASSED = Check()
 
 
 def is_plausible(made: Estimate, background: Climatology) -> Check:
-    """Whether an estimate can be air, between the lowest and the highest measurement.
+    """Whether an estimate is possible air, between the lowest and the highest measurement.
 
-    Between 180 and 335 K, within 5 sigma of the climatology, and above the lowest 100 m no steeper
-    than the dry adiabat by 3 sigma over 500 m.
+    Temperatures must be 180 to 335 K and within 5 sigma of the climatology. Above the lowest 100 m
+    they must not fall faster than the dry adiabat over 500 m, by more than 3 sigma.
     """
     edge = made.profile.layers.edge
-    # A balloon goes higher than a climatology does.
+    # A balloon may reach higher than the background.
     background_edge = background.profile.layers.edge
     low = max(made.readings.low, float(edge[0]), float(background_edge[0]))
     high = min(made.readings.high, float(edge[-1]), float(background_edge[-1]))
@@ -109,15 +114,20 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
 
 
 def _does_not_overturn(made: Estimate, height: Array) -> Check:
-    """Whether temperatures at heights (n,) [m'], 50 m apart, fall no steeper than the adiabat."""
+    """Whether air is stable: over 500 m' its temperature falls at most as the dry adiabat.
+
+    More is allowed up to 3 sigma. ``height`` (n,): [m'], 50 m' apart, from the ground up.
+    """
     steps = round(OVERTURNING_M / _STEP_M)
     if height.size <= steps:
         return PASSED
     h = made.profile.gravity.height(height)
     t = made.profile.temperature(h)
     edge = made.profile.layers.edge
-    # One sigma of T(h) - T(h + 500 m) [K]; that of T_M stands for it.
-    weights = hats(edge, height[:-steps]) - hats(edge, height[steps:])
+    # One sigma of T(h) - T(h + 500 m) [K]; that of T_M is nearly the same.
+    weights = interpolation_weights(edge, height[:-steps]) - interpolation_weights(
+        edge, height[steps:]
+    )
     matrix = made.covariance.matrix[: edge.size, : edge.size]
     sigma = np.sqrt(np.einsum("ij,ij->i", weights @ matrix, weights))
     fall = t[:-steps] - t[steps:]
@@ -135,7 +145,11 @@ def reasons_against(
     background: Climatology,
     flight: external_readings.TimeAndPlace,
 ) -> dict[str, str]:
-    """Why columns are not used, by name: the climatology or the flight's ``own`` sensors."""
+    """Why soundings and model columns are not used, by name; those that pass are left out.
+
+    The climatology contradicts them, or the flight's own sensors: ``own`` is the estimate from
+    these alone, None without one.
+    """
     reasons = {}
     for column in columns:
         check = column_is_plausible(column, background)
@@ -147,15 +161,15 @@ def reasons_against(
 
 
 def column_is_plausible(column: Sounding, background: Climatology) -> Check:
-    """Whether the climatology can have the lowest pressure and the temperatures of a column.
+    """Whether lowest pressure and temperatures of a column are within 4 sigma of the climatology.
 
-    Its heights may be those above ground, or in feet, and it may be of another season.
+    This finds heights above ground or in feet, and columns of another season.
     """
     profile = background.profile
     lowest_m = float(column.h_m[0])
     expected_pa = float(profile.pressure(lowest_m))
-    departure = float(np.log(column.pressure_pa[0] / expected_pa))
-    sigmas = departure / background.sigma_log_pressure(lowest_m)
+    log_ratio = float(np.log(column.pressure_pa[0] / expected_pa))
+    sigmas = log_ratio / background.sigma_log_pressure(lowest_m)
     if abs(sigmas) > UNLIKELY_COLUMN:
         reason = messages.level_far_from_climatology(
             hpa=column.pressure_pa[0] / HECTOPASCAL,
@@ -183,10 +197,10 @@ def column_agrees(
     background: Climatology,
     flight: external_readings.TimeAndPlace,
 ) -> Check:
-    """Whether temperatures of a column are those that the flight's ``own`` sensors give.
+    """Whether temperatures of a column agree with ``own``, the estimate from the flight's sensors.
 
-    In the mean over the heights that both know, within the uncertainty of these, its age and
-    distance.
+    Compared is the mean over common heights, within the uncertainty of the estimate and of the
+    change of the air over time and distance. Passed with less than 300 m of common heights.
     """
     gravity = background.profile.gravity
     levels = gravity.geopotential_height(column.h_m)
@@ -202,13 +216,13 @@ def column_agrees(
     in_flight += np.interp(height, departure.knot, departure.expected_k)
     mean = float(np.mean(measured - in_flight))
 
-    # The variance of the mean of T(h); that of T_M stands for it.
+    # The variance of the mean of T(h); that of T_M is nearly the same.
     edge = own.profile.layers.edge
-    of_flight = hats(edge, height).mean(axis=0)
+    flight_weights = interpolation_weights(edge, height).mean(axis=0)
     matrix = own.covariance.matrix[: edge.size, : edge.size]
-    of_departure = hats(departure.knot, height).mean(axis=0)
-    variance = of_flight @ matrix @ of_flight
-    variance += of_departure @ departure.covariance(background) @ of_departure
+    departure_weights = interpolation_weights(departure.knot, height).mean(axis=0)
+    variance = flight_weights @ matrix @ flight_weights
+    variance += departure_weights @ departure.covariance(background) @ departure_weights
     sigma = float(np.sqrt(variance + external_readings.LEVEL_K**2))
     if abs(mean) <= max(CONTRADICTED_K, CONTRADICTED * sigma):
         return PASSED
@@ -225,9 +239,11 @@ def has_information(
     background: Climatology,
     moisture: Climatology,
 ) -> Check:
-    """Whether R over the measured heights is more certain than without the flight's own sensors.
+    """Whether the flight's thermometer and barometer reduce the sigma of the refraction R.
 
-    A barometer beside a GNSS height that drifts has information from some 200 m of climb.
+    Compared is R from the highest to the lowest measurement, by ``made`` and by an estimate without
+    these sensors; the sigma must fall below 95 %. A barometer with drifting GNSS heights reaches
+    this from some 200 m of climb.
     """
     profile = background.profile
     layout = layout_of(made.readings, background)
@@ -249,7 +265,10 @@ def has_information(
 
 
 def _sigma_of_refraction(covariance: ProfileCovariance, h_c: float, h_g: float) -> float:
-    """One sigma of R/tan zeta in the plane, from a camera to the ground [m above sea level]."""
+    """One sigma of R/tan zeta in the plane.
+
+    From a camera at ``h_c`` to the ground at ``h_g`` [m above sea level].
+    """
     h, weight = plane_rule(h_c, h_g, RAY_STEPS)
     gradient = weight[None] @ covariance.refractivity_gradient(h)
     return float(covariance.sigma_of(gradient)[0])
@@ -261,14 +280,15 @@ def is_better_than_background(
     moisture: Climatology,
     name: str = "the climatology",
 ) -> Check:
-    """Whether an estimate predicts held-out readings better than its background (``name``) does.
+    """Whether an estimate predicts held-out readings better than its background does.
 
-    Held out is every other bin of thermometer and barometer, about their median. Consistent
-    readings do, even if all of them have the same error; unrelated noise does not.
+    Held out is every other bin of thermometer and barometer. Compared is the scatter of their
+    residuals about the median. So consistent readings pass, even if all of them have the same
+    error; unrelated noise does not. ``name``: of the background, for a message.
     """
     layout = made.layout
     prior = prior_of(layout, background, moisture)
-    used, held_out = _parted(made.readings.sets)
+    used, held_out = _hold_out_half(made.readings.sets)
     if not held_out:
         return PASSED
     profile = background.profile
@@ -293,8 +313,8 @@ def is_better_than_background(
     return PASSED
 
 
-def _parted(sets: Sequence[Readings]) -> tuple[list[Readings], list[Readings]]:
-    """Readings that are used, and every other bin of thermometer and barometer, held out."""
+def _hold_out_half(sets: Sequence[Readings]) -> tuple[list[Readings], list[Readings]]:
+    """The used readings, and the held-out ones: every other bin of thermometer and barometer."""
     used: list[Readings] = []
     held_out: list[Readings] = []
     for readings in sets:
@@ -308,7 +328,7 @@ def _parted(sets: Sequence[Readings]) -> tuple[list[Readings], list[Readings]]:
 
 
 def _scatter_about(readings: Readings, air: AirAtKnots) -> float:
-    """Median distance of residuals from their median, as one sigma."""
+    """One sigma of the residuals of readings in an air, by the median absolute deviation."""
     predicted, _ = readings.predict(air)
     residuals = readings.value - predicted
     distance = np.abs(residuals - np.median(residuals))
@@ -316,10 +336,11 @@ def _scatter_about(readings: Readings, air: AirAtKnots) -> float:
 
 
 def hygrometer_is_outside(made: Estimate, moisture: Climatology) -> Check:
-    """Whether air of the estimated temperatures can be as humid as the flight's hygrometer reads.
+    """Whether a flight's hygrometer reads humidities that air of the estimate can have.
 
-    It has no dew point above 35 C, or 4 sigma above that of the climatology, and no saturation over
-    1 km in which temperature falls too fast for a cloud.
+    Near the ground it must once read more than 1.1 %. Dew points must be at most 35 C, and within
+    4 sigma of the climatology. Temperature must not fall faster than in a cloud over 1 km or more
+    in which the air is saturated. Passed without a hygrometer.
     """
     for readings in made.readings.sets:
         if not isinstance(readings, Humidities) or readings.fault is None:
@@ -341,18 +362,18 @@ def _has_usual_dew_points(
     profile: Profile,
     moisture: Climatology,
 ) -> Check:
-    """Whether dew points of a hygrometer are those of any air, and near those of a climatology."""
+    """Whether dew points of a hygrometer are at most 35 C and within 4 sigma of a climatology."""
     h = profile.gravity.height(readings.height)
     saturated = refractive_index.saturation_vapour_pressure(profile.temperature(h))
     dew_k = refractive_index.dew_point(readings.value * saturated)
     usual_k = refractive_index.dew_point(moisture.profile.vapour_pressure(h))
     usual_rh = np.maximum(moisture.relative_humidity(h), _LEAST_RH)
-    share = moisture.spread.sigma_relative_humidity(h) / usual_rh
-    sigma_by_rh = usual_k**2 / _SATURATION_K * share
-    sigma_k = np.hypot(moisture.spread.sigma_temperature(h), sigma_by_rh)
+    relative_sigma_rh = moisture.spread.sigma_relative_humidity(h) / usual_rh
+    sigma_by_rh_k = usual_k**2 / _SATURATION_K * relative_sigma_rh
+    sigma_k = np.hypot(moisture.spread.sigma_temperature(h), sigma_by_rh_k)
     limit_k = np.minimum(usual_k + WETTEST_SIGMAS * sigma_k, HIGHEST_DEW_POINT_K)
     worst = int(np.argmax(dew_k - limit_k))
-    if not dew_k[worst] > limit_k[worst]:
+    if not dew_k[worst] > limit_k[worst]:  # NaN passes
         return PASSED
     reason = messages.hygrometer_too_wet(
         percent=100.0 * readings.value[worst],
@@ -364,7 +385,10 @@ def _has_usual_dew_points(
 
 
 def _can_be_cloud(readings: Humidities, profile: Profile) -> Check:
-    """Whether temperature falls as in a cloud where a hygrometer is saturated."""
+    """Whether temperature falls at most as in a cloud where a hygrometer is saturated.
+
+    Passed if it is saturated over less than 1 km, or for less than nine of ten readings between.
+    """
     wet = readings.height[readings.value >= CLOUD_RH]
     if wet.size == 0 or np.ptp(wet) < CLOUD_M:
         return PASSED

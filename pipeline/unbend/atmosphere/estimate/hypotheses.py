@@ -1,8 +1,8 @@
-"""What may rarely be wrong with a sensor: the flight is estimated without and with each of it.
+"""Rare sensor faults: the flight is estimated with usual sensors, and once with each rare fault.
 
-One normal distribution wide enough for what is rare would make every flight uncertain, and an
-estimate without it is sure and wrong. So the air is a mixture: of the estimate with usual sensors
-and of one for each rare fault, by how probable each is beforehand and with the flight's readings.
+A prior wide enough for rare faults would make every flight uncertain, and an estimate without them
+is certain and wrong where there is one. So the air is a mixture of these estimates, weighted by the
+probability of each: how frequent the fault is, and how well the flight's readings fit it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ from unbend.units import Array
 
 USUAL = "usual sensors"
 
-NOT_IMPROBABLE = 0.05  # a hypothesis with less chance excuses no misfit
+NOT_IMPROBABLE = 0.05  # a hypothesis with less probability does not excuse a misfit
 MOST_BY_CLIMATOLOGY = 0.25
 """The largest chance of rare faults where nothing measures temperature. Air is rarely, but more
 often than a normal distribution says, as far from the climatology as a pressure that loses 4 %
@@ -37,11 +37,12 @@ LIKELY = 0.5  # a rare fault that is more probable than this is reported
 
 @dataclass(frozen=True)
 class RareFault:
-    """What few sensors have: ``share`` of all.
+    """A condition that few sensors have; ``share`` is the fraction of sensors that have it.
 
-    ``faults``: what is expected of a sensor that has it, by fault: by how much it is beyond the
-    usual mean, and its sigma. ``drifts``: the sigma of drifts then. ``is_linear``: readings are
-    linear in its faults, so that its estimate is found from the usual one as well as from nowhere.
+    ``faults``: the prior of each sensor fault in this condition, as (what is added to the usual
+    mean, sigma). ``drifts``: sigma of drifts in this condition, by their names. ``is_linear``:
+    whether readings are linear in these faults; then its estimate may begin at that of usual
+    sensors.
     """
 
     name: str
@@ -63,8 +64,8 @@ IN_A_BAY = RareFault(
     {SensorFault.THERMOMETER_DRIFT: 1.0},
     is_linear=False,
 )
-"""A thermometer that is only partly in the outside air, or not at all. Bays have 10 K more or less
-than `BAY_K`, and change with time."""
+"""A thermometer that is only partly in the outside air, or not at all. Bays are some 10 K warmer
+or colder than `sensors.BAY_K`, and change with time."""
 
 WARM_CLIMB = RareFault(
     "a thermometer that the climb warms", 0.1, {SensorFault.CLIMB_WARMTH: (0.0, 2.0)}
@@ -76,9 +77,10 @@ RARE_FAULTS = (LOST_PRESSURE, IN_A_BAY, WARM_CLIMB)
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """What the sensors of a flight may be like, and how probable that is beforehand (``share``).
+    """An assumption on the sensors of a flight: that they are usual, or have a rare fault.
 
-    ``layout`` has their faults and drifts as expected then. ``is_linear``: see `RareFault`.
+    ``share``: its probability before the flight. ``layout``: of the state, with the priors of
+    faults and drifts under this assumption. ``is_linear``: see `RareFault`.
     """
 
     name: str
@@ -88,7 +90,10 @@ class Hypothesis:
 
 
 def hypotheses_of(layout: Layout, rare_faults: Sequence[RareFault]) -> list[Hypothesis]:
-    """The sensors as they usually are, and with each rare fault that the flight may have."""
+    """The hypotheses on a flight's sensors: usual sensors first, then each rare fault alone.
+
+    ``layout``: with the usual priors.
+    """
     usual_share = 1.0 - sum(rare.share for rare in rare_faults)
     hypotheses = [Hypothesis(USUAL, usual_share, layout)]
     for rare in rare_faults:
@@ -106,38 +111,42 @@ def hypotheses_of(layout: Layout, rare_faults: Sequence[RareFault]) -> list[Hypo
 
 
 def _fault_as_rare(fault: Fault, rare: RareFault) -> Fault:
-    """A fault as expected of a sensor that has what is rare."""
+    """The prior of a fault for a sensor with a rare fault; unchanged if this is another fault."""
     if fault.name not in rare.faults:
         return fault
-    beyond, sigma = rare.faults[fault.name]
-    return replace(fault, mean=fault.mean + beyond, sigma=sigma)
+    added_mean, sigma = rare.faults[fault.name]
+    return replace(fault, mean=fault.mean + added_mean, sigma=sigma)
 
 
 def _drift_as_rare(drift: Drift | Departure, rare: RareFault) -> Drift | Departure:
-    """A drift as expected of a sensor that has what is rare: alike at all heights."""
+    """The prior of a drift for a sensor with a rare fault: one fixed sigma at all knots.
+
+    Unchanged if the rare fault does not concern it.
+    """
     if not isinstance(drift, Drift) or drift.name not in rare.drifts:
         return drift
     return replace(drift, sigma=rare.drifts[drift.name], scales=(1.0, 1.0))
 
 
 def prior_sigmas(hypotheses: Sequence[Hypothesis]) -> dict[SensorFault, float]:
-    """The sigma of each fault before the flight, about its usual mean, over all hypotheses."""
-    usual = hypotheses[0].layout.faults
-    variances = dict.fromkeys((fault.name for fault in usual), 0.0)
+    """The prior sigma of each fault about its usual mean, for the mixture of all hypotheses."""
+    usual_faults = hypotheses[0].layout.faults
+    variances = dict.fromkeys((fault.name for fault in usual_faults), 0.0)
     for hypothesis in hypotheses:
-        for fault, expected in zip(hypothesis.layout.faults, usual, strict=True):
-            beyond_usual = fault.mean - expected.mean
-            square = fault.sigma**2 + beyond_usual**2
+        for fault, usual_fault in zip(hypothesis.layout.faults, usual_faults, strict=True):
+            added_mean = fault.mean - usual_fault.mean
+            square = fault.sigma**2 + added_mean**2
             variances[fault.name] += hypothesis.share * square
     return {name: float(np.sqrt(variance)) for name, variance in variances.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a solution says for its hypothesis, which has a ``share`` beforehand.
+    """What the probability of a hypothesis is computed from: its solution, and its prior.
 
-    Its ``air``, its ``prior``, the weights (m,) of each set of readings, and the sum of ln of the
-    factors by which the sigmas of readings were multiplied.
+    ``share``: probability of the hypothesis before the flight. ``air``: of the solution.
+    ``weights``: (m,) of each set of readings. ``log_sigma``: sum over all readings of ln of their
+    sigma inflation factor.
     """
 
     share: float
@@ -148,12 +157,12 @@ class Evidence:
 
 
 def probabilities(solved: Sequence[Evidence], sets: Sequence[Readings]) -> NDArray[np.float64]:
-    """How probable each hypothesis is with the readings.
+    """(h,) the probability of each hypothesis, given the readings ``sets``; the sum is 1.
 
-    The first is that of usual sensors. All are judged with the same weights of the readings: those
-    of the hypothesis whose sigmas were inflated least. So no hypothesis excuses its misfit by
-    larger sigmas. Where nothing measures temperature, the chances of all faults together are at
-    most `MOST_BY_CLIMATOLOGY`.
+    ``solved``: the evidence for each, usual sensors first. All are compared with the same weights
+    of the readings, those of the hypothesis with the least inflated sigmas, so that no hypothesis
+    excuses its misfit by larger sigmas. Where nothing measures temperature, the probability of all
+    rare faults together is at most `MOST_BY_CLIMATOLOGY`.
     """
     best = min(solved, key=lambda evidence: evidence.log_sigma)
     logs = np.zeros(len(solved))
@@ -171,23 +180,24 @@ def probabilities(solved: Sequence[Evidence], sets: Sequence[Readings]) -> NDArr
 
 
 def best_fitting(solved: Sequence[Evidence], chances: Array) -> int:
-    """Which hypothesis fits best, by the least inflation, of those that are not improbable.
+    """The number of the hypothesis with the least inflated sigmas, of those of 5 % or more.
 
-    What none of these explains is a contradiction of the sensors.
+    Of equal ones the more probable. If even this one misfits, the sensors contradict each other.
     """
     possible = np.flatnonzero(chances >= NOT_IMPROBABLE)
-    inflated = np.array([evidence.log_sigma for evidence in solved])
-    order = np.lexsort((-chances[possible], inflated[possible]))
+    log_sigmas = np.array([evidence.log_sigma for evidence in solved])
+    order = np.lexsort((-chances[possible], log_sigmas[possible]))  # the last key comes first
     return int(possible[order[0]])
 
 
 def _log_likelihood(
     evidence: Evidence, sets: Sequence[Readings], weights: Sequence[Array]
 ) -> float:
-    """ln of the marginal likelihood of the readings in the normal approximation.
+    """ln of the marginal likelihood of the readings under a hypothesis, in normal approximation.
 
-    -(cost + ln det(C_prior) - ln det(C))/2, but for what is the same in all hypotheses, where the
-    cost is that of the minimum which a last step with these weights would reach.
+    -(cost + ln det(C_prior) - ln det(C))/2; terms that are the same in all hypotheses are left out.
+    The cost is that at the minimum which one more step with these ``weights`` ((m,) of each set)
+    would reach from the solution.
     """
     departure = evidence.prior.mean - evidence.air.x
     normal = evidence.prior.precision.copy()
@@ -208,7 +218,10 @@ def _log_likelihood(
 def mixed_moments(
     states: Sequence[Array], covariances: Sequence[Array], chances: Array
 ) -> tuple[Array, Array]:
-    """Mean and covariance of a mixture of normal distributions."""
+    """Mean (s,) and covariance (s, s) of a mixture of normal distributions.
+
+    ``states``: the mean of each; ``chances`` (h,): the probability of each.
+    """
     mean = np.average(states, axis=0, weights=chances)
     mixed = np.zeros_like(covariances[0])
     for chance, state, covariance in zip(chances, states, covariances, strict=True):

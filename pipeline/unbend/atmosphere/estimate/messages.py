@@ -28,7 +28,11 @@ def air_anchor(
     largest: float,
     at_sea: float,
 ) -> Message:
-    """How well the profile's pressure fits the barometer; a loss where the level is impossible."""
+    """How well the profile's pressure fits the barometer: a note, a warning or a loss (``kind``).
+
+    Residuals ``median``, ``largest`` and the pressure ``at_sea`` level [hPa]; ``sigmas``: distance
+    of the latter from the climatology.
+    """
     text = (
         "pressure anchored to {where}: residuals of {median:.2f} hPa in the median, "
         "{largest:.2f} hPa at most; {at_sea:.0f} hPa at sea level"
@@ -216,7 +220,7 @@ AIR_HYGROMETER = Code(
 
 
 def hygrometer_not_used(*, name: str, reason: str) -> Message:
-    """A hygrometer reads more humid or drier air than there is."""
+    """A hygrometer reads more humid or drier air than is possible."""
     return loss(AIR_HYGROMETER, "{where} is not used: {reason}", where=name, reason=reason)
 
 
@@ -239,7 +243,7 @@ def hygrometer_too_wet(*, percent: float, height_m: float, dew_c: float, limit_c
 def hygrometer_in_no_cloud(
     *, percent: float, low_m: float, high_m: float, lapse: float, adiabat: float
 ) -> str:
-    """Why a hygrometer is not used: saturated air would overturn."""
+    """Why a hygrometer is not used: saturated air would overturn; lapse rates in K/km."""
     return (
         f"{percent:.0f} % and more from {low_m:.0f} to {high_m:.0f} m, although temperature falls "
         f"by {lapse:.1f} K/km: saturated air is unstable from {adiabat:.1f} K/km on"
@@ -258,7 +262,7 @@ AIR_IMPLAUSIBLE = Code(
 
 
 def air_implausible(*, sources: str, reason: str, sensor: str) -> Message:
-    """Air that was estimated from some sources cannot be."""
+    """Air that was estimated from some sources is not plausible; ``sensor`` is the main one."""
     return loss(
         AIR_IMPLAUSIBLE,
         "the air estimated from {sources} is not used: {reason}",
@@ -269,17 +273,17 @@ def air_implausible(*, sources: str, reason: str, sensor: str) -> Message:
 
 
 def not_temperatures_of_air(*, lowest_k: float, highest_k: float) -> str:
-    """Why air is implausible: its temperatures."""
+    """Why air is not plausible: its temperatures are not those of air."""
     return f"temperatures of {lowest_k:.0f} to {highest_k:.0f} K are not those of air"
 
 
 def far_from_climatology(*, kelvin: float, height_m: float, sigmas: float) -> str:
-    """Why air is implausible: it is far from that of place and season."""
+    """Why air is not plausible: it is far from the climatology of place and season."""
     return f"{kelvin:.0f} K at {height_m:.0f} m is {sigmas:.1f} sigma from the climatology"
 
 
 def air_overturns(*, lapse: float, height_m: float) -> str:
-    """Why air is implausible: it would overturn."""
+    """Why air is not plausible: it would overturn. ``lapse``: its fall of temperature [K/km]."""
     return (
         f"temperature falls by {lapse:.1f} K/km above {height_m:.0f} m: air is unstable from 9.8 "
         "K/km on"
@@ -287,14 +291,14 @@ def air_overturns(*, lapse: float, height_m: float) -> str:
 
 
 def no_information(*, percent: float) -> str:
-    """Why a barometer's air is not used: R is as uncertain as before."""
+    """Why a barometer's air is not used: ``percent`` of the sigma of R remain."""
     return f"it has no information on temperature: {percent:.0f} % of the sigma of R remain"
 
 
 def held_out_readings_differ(
     *, sensor: str, unit: str, name: str, by_estimate: float, by_background: float
 ) -> str:
-    """Why air is implausible: it predicts readings worse than the climatology does."""
+    """Why air is not plausible: it predicts readings worse than its background (``name``) does."""
     return (
         f"readings of {sensor} that were not used in the estimate differ by {by_estimate:.2f} "
         f"{unit} from the estimate and by {by_background:.2f} {unit} from {name}"
@@ -519,7 +523,7 @@ def thermometer_not_used(*, name: str, reason: str) -> Message:
 
 
 def thermometer_not_as_predicted(*, reads: str, departure_k: float, limit_k: float) -> str:
-    """Why a thermometer is not used: an estimate without it predicts others."""
+    """Why a thermometer is not used: an estimate without it predicts other temperatures."""
     return (
         f"it {reads} {departure_k:+.1f} K against the temperature that pressure and GNSS height "
         f"imply, limit {limit_k:.1f} K (log.channels.temperature)"
@@ -527,7 +531,7 @@ def thermometer_not_as_predicted(*, reads: str, departure_k: float, limit_k: flo
 
 
 def thermometer_in_a_bay(*, percent: float) -> str:
-    """Why a thermometer is not outside: all its readings are more probable in a bay."""
+    """Why a thermometer is not outside: it is in a bay with a probability of ``percent``."""
     return (
         f"it is only partly in the air outside, or indoors, with a probability of {percent:.1f} % "
         "(log.channels.temperature)"
@@ -577,7 +581,7 @@ METAR_FAR_IN_TIME = Code(
 
 
 def metar_far_in_time(*, where: str, hours: float, doubt: str) -> Message:
-    """The METAR is hours away from the flight, or the stated date is wrong (``doubt``)."""
+    """The METAR is hours away from the flight; ``doubt``: words that the date may be wrong."""
     return warning(
         METAR_FAR_IN_TIME,
         "the report is {hours:.1f} hours away from the flight{doubt}",
@@ -618,7 +622,7 @@ SOUNDING_FAR_IN_TIME = Code(
 
 
 def sounding_far_in_time(*, where: str, hours: float, doubt: str) -> Message:
-    """A sounding is many hours from the flight, or the stated date is wrong (``doubt``)."""
+    """A sounding is many hours from the flight; ``doubt``: words that the date may be wrong."""
     return warning(
         SOUNDING_FAR_IN_TIME,
         "the sounding is {hours:.0f} hours away from the flight{doubt}",
@@ -673,7 +677,7 @@ SURFACE_FAR_IN_TIME = Code(
 
 
 def surface_far_in_time(*, where: str, hours: float, doubt: str) -> Message:
-    """The report is hours away from the flight, or the stated date is wrong (``doubt``)."""
+    """The report is hours away from the flight; ``doubt``: words that the date may be wrong."""
     return warning(
         SURFACE_FAR_IN_TIME,
         "the report is {hours:.1f} hours away from the flight{doubt}",
@@ -716,9 +720,9 @@ AIR_SOURCE_FAR = Code(
 
 
 def source_far(*, name: str, reason: str, doubt: str) -> Message:
-    """A sounding or report that says nothing on the air of this flight.
+    """A sounding or report has no information on the air of this flight.
 
-    ``doubt`` of the stated date of the flight.
+    ``doubt``: words that the stated date of the flight may be wrong, or empty.
     """
     return loss(
         AIR_SOURCE_FAR,
@@ -751,7 +755,7 @@ def source_refused(*, name: str, reason: str) -> Message:
 def level_far_from_climatology(
     *, hpa: float, height_m: float, sigmas: float, expected_hpa: float
 ) -> str:
-    """Why a column is refused: its lowest pressure."""
+    """Why a column is refused: its lowest pressure is far from the climatology."""
     return (
         f"{hpa:.1f} hPa at {height_m:.0f} m is {sigmas:.1f} sigma from the {expected_hpa:.1f} hPa "
         "of the climatology: its heights may be above the ground, or in feet"
@@ -759,7 +763,7 @@ def level_far_from_climatology(
 
 
 def column_far_from_climatology(*, kelvin: float, sigmas: float) -> str:
-    """Why a column is refused: its temperatures, by place and season."""
+    """Why a column is refused: its temperatures are far from the climatology."""
     return (
         f"its temperatures are {kelvin:+.1f} K from the climatology of place and season, "
         f"{sigmas:.1f} sigma, in the mean of the lowest 3 km"
@@ -767,7 +771,7 @@ def column_far_from_climatology(*, kelvin: float, sigmas: float) -> str:
 
 
 def column_contradicts_flight(*, kelvin: float, sigmas: float, extent_m: float) -> str:
-    """Why a column is refused: the flight's own sensors."""
+    """Why a column is refused: the flight's own sensors contradict its temperatures."""
     return (
         f"its temperatures are {kelvin:+.1f} K from those of the flight's own sensors, "
         f"{sigmas:.1f} sigma, in the mean of {extent_m:.0f} m of height: one of both is wrong"

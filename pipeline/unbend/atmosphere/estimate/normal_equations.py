@@ -1,7 +1,7 @@
 """Normal equations of a step of the estimate, and how well each set of readings fits.
 
-Readings lose weight where they do not fit, their sigmas are inflated where their scatter is larger,
-and drifts are as large as they show themselves.
+Readings that do not fit lose weight. The sigmas of a set of readings are inflated where its scatter
+is larger than they are. The variance of a drift follows from the drift as estimated.
 """
 
 from collections.abc import Sequence
@@ -19,21 +19,21 @@ FREEDOM = 4.0  # degrees of freedom of Student's loss: a bin 5 sigma off weighs 
 HUBER_STEPS = 3  # the first iterations, while residuals are still those of the background
 
 _HUBER = 3.0  # sigmas from which their loss is linear
-_DRIFT_FREEDOM = 1.0  # that the expected size of a drift weighs, against those of the flight
-_EXPECTED_SQUARE = 0.786  # of a normal residual under Student's weights
+_DRIFT_FREEDOM = 1.0  # degrees of freedom of a drift's expected variance, its weight in the new one
+_EXPECTED_SQUARE = 0.786  # mean weighted square of a normal residual under Student's weights
 _MOST_CORRELATED = 0.8  # the few bins of a flight do not determine more
 _CORRELATED = 0.2  # neighbouring residuals that correlate more than this are not independent
-_FEWEST_TO_INFLATE = 5  # readings of a set whose scatter says anything of their sigmas
+_FEWEST_TO_INFLATE = 5  # the sigmas of a set with fewer readings are not inflated
 
 
 @dataclass(frozen=True)
 class Fit:
     """How a set of readings fits.
 
-    ``count`` of bins or levels, ``rms`` residual in sigmas, and the factor by which its sigmas were
-    multiplied. ``signal_freedom`` are its degrees of freedom for signal, its weight among the
-    sources: the trace of its share of the information times the covariance (Rodgers 2000, Eq.
-    2.80).
+    ``count``: of its bins or levels. ``rms``: residual in sigmas, before these are inflated.
+    ``sigma_inflation``: the factor by which its sigmas are multiplied. ``signal_freedom``: its
+    degrees of freedom for signal, the trace of its information matrix times the covariance of the
+    state (Rodgers 2000, Eq. 2.80).
     """
 
     name: str
@@ -45,7 +45,10 @@ class Fit:
 
 
 class SetPart(NamedTuple):
-    """What a set of readings adds: its fit, its share of the normal matrix, and its weights."""
+    """What a set of m readings adds to the equations.
+
+    ``information`` (s, s): its share of the normal matrix. ``weight`` (m,): of its readings.
+    """
 
     fit: Fit
     information: Array
@@ -53,7 +56,11 @@ class SetPart(NamedTuple):
 
 
 class NormalEquations(NamedTuple):
-    """Matrix and right side of a step, the inflation of the next one, and the part of each set."""
+    """Normal equations of a step: ``normal`` (s, s) times the change of the state = ``right`` (s,).
+
+    ``inflation``: of each set of readings, the sigma inflation factor for the next step.
+    ``parts``: of each set, in the same order.
+    """
 
     normal: Array
     right: Array
@@ -61,9 +68,10 @@ class NormalEquations(NamedTuple):
     parts: list[SetPart]
 
     def change(self) -> Array:
-        """How the state changes: the solution of the equations, solved for states in sigmas.
+        """(s,) how the state changes in this step: the solution of the equations.
 
-        In their units the diagonal spans 20 orders of magnitude, and the solution loses digits.
+        They are solved in units of sigmas: in the units of the state the diagonal spans 20 orders
+        of magnitude, and the solution would lose digits.
         """
         sigma = self._sigma()
         scaled = self.normal * np.outer(sigma, sigma)
@@ -71,17 +79,20 @@ class NormalEquations(NamedTuple):
         return np.asarray(sigma * in_sigmas)
 
     def covariance(self) -> Array:
-        """The inverse of the matrix, inverted for states in sigmas too."""
+        """(s, s) the inverse of the matrix, computed in units of sigmas too."""
         sigma = self._sigma()
         units = np.outer(sigma, sigma)
         return np.asarray(units * np.linalg.inv(self.normal * units))
 
     def _sigma(self) -> Array:
-        """(n,) sigma of each state if the others were known."""
+        """(s,) sigma of each number of the state if the others were known."""
         return np.asarray(1.0 / np.sqrt(np.diag(self.normal)))
 
     def fits(self, covariance: Array) -> tuple[Fit, ...]:
-        """How each set fits, with its degrees of freedom for signal under a covariance."""
+        """How each set fits, with its degrees of freedom for signal.
+
+        ``covariance`` (s, s): of the state.
+        """
         fits = []
         for part in self.parts:
             freedom = float(np.sum(covariance * part.information))
@@ -96,7 +107,11 @@ def normal_equations(
     inflation: Array,
     step: int,
 ) -> NormalEquations:
-    """The equations of a Gauss-Newton step from an air."""
+    """The normal equations of Gauss-Newton step number ``step``, linearised at the state of an air.
+
+    ``inflation``: the present sigma inflation factor of each set; it is not changed, the new ones
+    are in the result. The first `HUBER_STEPS` steps have another loss and inflate no sigma.
+    """
     normal = prior.precision.copy()
     right = prior.precision @ (prior.mean - air.x)
     next_inflation = inflation.copy()
@@ -106,13 +121,13 @@ def normal_equations(
         residual = readings.value - predicted
         sigma = readings.sigma * inflation[i]
         z = residual / sigma
-        factor = _weight_factors(readings, z, step)
-        weight = factor / sigma**2
+        weight_factor = _weight_factors(readings, z, step)
+        weight = weight_factor / sigma**2
         information = _information(jacobian, weight)
         normal += information
         right += jacobian.T @ (weight * residual)
         if readings.robust and step > HUBER_STEPS and z.size >= _FEWEST_TO_INFLATE:
-            next_inflation[i] = max(1.0, inflation[i] * np.sqrt(_variance_ratio(factor, z)))
+            next_inflation[i] = max(1.0, inflation[i] * np.sqrt(_variance_ratio(weight_factor, z)))
         fit = Fit(
             readings.name,
             readings.quantity,
@@ -125,13 +140,20 @@ def normal_equations(
 
 
 def _information(jacobian: Array, weight: Array) -> Array:
-    """J^T W J: a matrix times its own transpose costs half of a product of two."""
+    """(s, s) J^T W J of a (m, s) Jacobian and weights (m,).
+
+    Computed as A^T A, which costs half as much as the product of two different matrices.
+    """
     weighted = jacobian * np.sqrt(weight)[:, None]
     return np.asarray(weighted.T @ weighted)
 
 
 def _weight_factors(readings: Readings, z: Array, step: int) -> Array:
-    """(m,) factors of the weights of readings, by their residuals ``z`` in sigmas."""
+    """(m,) factors from 0 to 1 of the weights of readings, by their residuals ``z`` in sigmas.
+
+    Huber's loss in the first steps, because it has one minimum, then Student's; 1 of a set that is
+    not robust.
+    """
     if not readings.robust:
         return np.ones(z.size)
     if step < HUBER_STEPS:
@@ -139,15 +161,15 @@ def _weight_factors(readings: Readings, z: Array, step: int) -> Array:
     return np.asarray((FREEDOM + 1.0) / (FREEDOM + z * z))
 
 
-def _variance_ratio(factor: Array, z: Array) -> float:
-    """Ratio of the variance of residuals to that of their sigmas.
+def _variance_ratio(weight_factor: Array, z: Array) -> float:
+    """By how much the variance of a set of readings must grow so that its residuals fit.
 
-    Readings are in the order of their bins, so neighbours are near in time and height; a
-    first-order process with correlation r has means as uncertain as (1 + r)/(1 - r) times the
-    variance.
+    ``z`` (m,): residuals in sigmas, in the order of the bins, so that neighbours are near in time
+    and height. ``weight_factor`` (m,): see `_weight_factors`. Where neighbours correlate by r, the
+    variance of the mean of a first-order process is (1 + r)/(1 - r) times that of independent ones.
     """
-    square = float(np.mean(factor * z * z)) / _EXPECTED_SQUARE
-    bounded = np.sqrt(factor) * z
+    square = float(np.mean(weight_factor * z * z)) / _EXPECTED_SQUARE
+    bounded = np.sqrt(weight_factor) * z
     products = np.sum(bounded[1:] * bounded[:-1])
     pairs = np.sum(bounded[1:] ** 2 + bounded[:-1] ** 2)
     correlation = float(2.0 * products / max(pairs, 1e-12))
@@ -171,24 +193,27 @@ def drift_variances(
     normal: Array,
     variance: Array,
 ) -> Array:
-    """The variance of each drift over the expected one, by the drift d as estimated.
+    """New factors (d,) of the prior variance of each drift, by the drift as estimated.
 
     Maximum of the marginal likelihood by MacKay's step (1992, Neural Comput. 4, 415, Eq. 4.8):
-    (d^T P d + nu)/(gamma + nu), where P is the expected precision, gamma the degrees of freedom
-    for signal of the drift, and nu those of the expectation itself.
+    (d^T P d + nu)/(gamma + nu), where d is the estimated drift, P its expected precision, gamma its
+    degrees of freedom for signal, and nu = 1 those of the expected variance.
+
+    ``precision`` (s, s): of the expected prior; ``x`` (s,): state; ``normal`` (s, s): matrix of the
+    step; ``variance`` (d,): the factors in that step. A drift of fixed variance keeps 1.
     """
     after = np.ones(variance.size)
-    factor = linalg.cho_factor(normal)
+    cholesky = linalg.cho_factor(normal)
     for i, drift in enumerate(layout.drifts):
         least, most = drift.scales
-        if least == most:
+        if least == most:  # fixed
             continue
         _, rows = layout.drift(drift.name)
         expected = precision[rows, rows]
-        columns = np.zeros((layout.size, drift.knot.size))
-        columns[rows] = expected / variance[i]
-        by_expectation = linalg.cho_solve(factor, columns)[rows]
-        freedom = drift.knot.size - float(np.trace(by_expectation))
+        prior_columns = np.zeros((layout.size, drift.knot.size))
+        prior_columns[rows] = expected / variance[i]
+        share_of_prior = linalg.cho_solve(cholesky, prior_columns)[rows]
+        freedom = drift.knot.size - float(np.trace(share_of_prior))
         square = float(x[rows] @ expected @ x[rows])
         ratio = (square + _DRIFT_FREEDOM) / (freedom + _DRIFT_FREEDOM)
         after[i] = min(max(ratio, least**2), most**2)

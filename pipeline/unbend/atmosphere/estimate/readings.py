@@ -19,13 +19,14 @@ from unbend.atmosphere.estimate.binning import (
     resolution_of,
 )
 from unbend.atmosphere.estimate.hypotheses import RARE_FAULTS, RareFault
+from unbend.atmosphere.estimate.knots import TOP_M
 from unbend.atmosphere.estimate.sensor_drifts import (
     barometer_drift,
     drift_knots,
     thermometer_drift,
 )
 from unbend.atmosphere.estimate.sensors import Readings, SensorCalibration, SensorSettings
-from unbend.atmosphere.estimate.state import TOP_M, Departure, Drift, Fault, SensorFault
+from unbend.atmosphere.estimate.state import Departure, Drift, Fault, SensorFault
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.rejection import Reason, Reasons, with_reason
 from unbend.atmosphere.soundings import Sounding
@@ -41,10 +42,11 @@ MOST_BINS = 1000
 
 SLICE_S = 30.0
 MOST_SLICES = 120
-"""Readings so far apart in time are never averaged, in a long flight 1/120 of it: a sensor that
-catches up in level flight after a climb determines its lag [s]."""
+"""Readings are averaged over 30 s at most, in a long flight over 1/120 of it. Longer means would
+hide how a sensor catches up in level flight after a climb, which determines its lag."""
 
-# Sigma of a bin's mean about the mean air of its height: eddies, the shape of the layer.
+# One sigma of how the air of a bin differs from the mean air of its height: eddies, and the shape
+# of the layer.
 AIR_NOISE_K = 0.15
 AIR_NOISE_LOG_P = 3e-5
 AIR_NOISE_RH = 0.03
@@ -54,23 +56,26 @@ LEAST_SCATTER_K = 0.05
 LEAST_SCATTER_LOG_P = 5e-5
 LEAST_SCATTER_RH = 0.01
 
-UNMEASURED_M = (0.0, 6000.0)  # where knots are fine if nothing was measured [m']
+UNMEASURED_M = (0.0, 6000.0)  # range of heights with fine knots if nothing was measured [m']
 LONG_AGO_S = -1e5  # take-off of a log that begins in the air [s]
 
-BOARD_BIAS_K = 10.0  # a board is so much warmer than the air
-USUAL_BIAS_K = 3.0  # the same of a thermometer outside
+# One sigma of the bias of a thermometer.
+BOARD_BIAS_K = 10.0  # on a circuit board
+USUAL_BIAS_K = 3.0  # outside
 
-_BELOW_BOTTOM_M = 500.0  # from the lowest height of the background that readings are used
-_BELOW_TOP_M = 2000.0
-_GROUND_RISE_M = 20.0
+# Readings nearer to the ends of the background, or of the knots, are not used.
+_MARGIN_AT_BOTTOM_M = 500.0
+_MARGIN_AT_TOP_M = 2000.0
+_GROUND_RISE_M = 20.0  # above the lowest height of a flight, where it has taken off
 
 
 @dataclass(frozen=True, eq=False)
 class FlightReadings:
-    """Everything that was measured, from ``low`` to ``high`` [m'], and the faults it may have.
+    """Everything that was measured, from ``low`` to ``high`` [m'], and the errors it may have.
 
-    ``rare`` are those that few sensors have; ``rejected`` says of each sensor why samples are not
-    used, outliers too.
+    ``faults``, ``drifts``: with their priors for usual sensors; ``rare``: the rare faults that the
+    sensors may have. ``rejected``: by quantity, why samples of the sensor are not used; outliers
+    included.
     """
 
     sets: tuple[Readings, ...]
@@ -84,7 +89,10 @@ class FlightReadings:
 
 @dataclass(eq=False)
 class _OwnReadings:
-    """The readings of the flight's own sensors, with their faults and drifts, as they are added."""
+    """The readings of the flight's own sensors, with their faults and drifts.
+
+    Empty at first; the ``_add_`` functions append to it.
+    """
 
     sets: list[Readings] = field(default_factory=list)
     faults: list[Fault] = field(default_factory=list)
@@ -94,7 +102,7 @@ class _OwnReadings:
 
 @dataclass(frozen=True, eq=False)
 class _Conditions:
-    """How a thermometer was flown: airspeed, times of the take-offs [s], and heights."""
+    """How a thermometer was flown: airspeed, take-offs by their times since the start, heights."""
 
     airspeed: SensorSamples | None
     takeoffs_s: Array
@@ -110,10 +118,11 @@ def collect_readings(
     surface: Sequence[SurfaceReport] = (),
     flight: external_readings.TimeAndPlace | None = None,
 ) -> FlightReadings:
-    """The readings of a flight in bins, and of soundings and stations, with their faults.
+    """The readings of a flight in bins, of soundings, stations and the climatology's sea level.
 
-    Bins are averaged about ``background``. Soundings and stations are weighted by their age and
-    distance from ``flight``, without it by their age at the start of the samples.
+    The means of bins are of departures from ``background``. The errors of soundings and stations
+    grow with their time and distance from ``flight``; without it, with their time from the start of
+    the samples.
     """
     instruments: dict[str, SensorSamples] = {}
     for name, sensor in samples.sensors.items():
@@ -128,8 +137,8 @@ def collect_readings(
         *_external_readings(soundings, surface, background, flight),
         *measured.sets,
     ]
-    heights = [readings.height for readings in sets]
-    span = np.concatenate(heights or [np.array(UNMEASURED_M)])
+    heights_of_sets = [readings.height for readings in sets]
+    heights = np.concatenate(heights_of_sets or [np.array(UNMEASURED_M)])
     faults = tuple(_as_calibrated(fault, settings) for fault in measured.faults)
     drifts: tuple[Drift | Departure, ...] = (
         *measured.drifts,
@@ -140,8 +149,8 @@ def collect_readings(
         sets=(_at_sea_level(background), *sets),
         faults=faults,
         drifts=drifts,
-        low=float(span.min()),
-        high=float(span.max()),
+        low=float(heights.min()),
+        high=float(heights.max()),
         rejected=measured.rejected,
         rare=_rare_faults(faults, settings),
     )
@@ -163,7 +172,7 @@ def _external_readings(
 
 
 def _as_calibrated(fault: Fault, settings: SensorSettings) -> Fault:
-    """A fault with the mean and sigma that a calibration states of it."""
+    """A fault with the mean and sigma that a calibration states, as far as it states them."""
     calibration = settings.calibration.get(fault.name, SensorCalibration())
     mean = fault.mean if calibration.mean is None else calibration.mean
     return replace(fault, mean=mean, sigma=calibration.sigma_or(fault.sigma))
@@ -178,10 +187,11 @@ def _at_sea_level(background: Climatology) -> sensors.Pressures:
 
 
 def _rare_faults(faults: Sequence[Fault], settings: SensorSettings) -> tuple[RareFault, ...]:
-    """The rare faults that the sensors of a flight may have.
+    """The rare faults that the sensors of a flight may have, where their ``faults`` are these.
 
-    None of those whose size is stated. No bay for a thermometer stated to sit on a board, nor
-    without a barometer: the climatology alone does not tell a bay from unusual air.
+    A fault of stated size has no rare one. A thermometer is not assumed to be in a bay if the
+    mission file states that it is on a circuit board. Nor without a barometer, because the
+    climatology alone cannot distinguish a bay from unusual air.
     """
     if settings.usual_errors_only:
         return ()
@@ -202,7 +212,11 @@ def _sensor_readings(
     start_ns: int,
     settings: SensorSettings,
 ) -> _OwnReadings:
-    """The readings of the flight's own sensors, with their faults and drifts."""
+    """The readings of the flight's own sensors, with their faults and drifts.
+
+    ``instruments``: the sensors with usable readings, by quantity. ``start_ns``: their first sample
+    [Unix ns]; all times [s] count from it.
+    """
     readings = _OwnReadings()
     end_ns = max(int(sensor.time_ns[-1]) for sensor in instruments.values())
     duration_s = max((end_ns - start_ns) * 1e-9, 1.0)
@@ -236,7 +250,7 @@ def _add_barometer(
     binning: _Binning,
     settings: SensorSettings,
 ) -> None:
-    """Readings of a static pressure, and its faults."""
+    """Add the readings of a static pressure (ln p), and its faults, to ``readings``."""
     profile = binning.profile
     with np.errstate(invalid="ignore", divide="ignore"):
         departure = np.log(sensor.value) - np.log(profile.pressure(sensor.h_m))
@@ -246,22 +260,22 @@ def _add_barometer(
     h = profile.gravity.height(bins.height)
     log_pressure = bins.value + np.log(profile.pressure(h))
     airspeed = binning.airspeed_at(bins.seconds, samples.airspeed)
-    dynamic = None if airspeed is None else sensors.dynamic_of(airspeed)
-    highest = settings.highest
-    if highest is None:
-        highest = float(log_pressure.max())
+    dynamic_pa = None if airspeed is None else sensors.dynamic_pressure(airspeed)
+    highest_log_p = settings.highest_log_p
+    if highest_log_p is None:
+        highest_log_p = float(log_pressure.max())
     barometer = sensors.Barometer(
         sensor.name,
         bins.height,
         log_pressure,
         np.hypot(bins.sigma, AIR_NOISE_LOG_P),
         seconds=bins.seconds,
-        highest=highest,
-        dynamic=dynamic,
+        highest_log_p=highest_log_p,
+        dynamic_pa=dynamic_pa,
     )
     readings.sets.append(barometer)
     readings.faults += sensors.BAROMETER_FAULTS
-    if dynamic is not None:
+    if dynamic_pa is not None:
         readings.faults.append(sensors.DYNAMIC_PRESSURE_ERROR)
 
 
@@ -272,7 +286,7 @@ def _add_thermometer(
     binning: _Binning,
     settings: SensorSettings,
 ) -> None:
-    """Readings of a thermometer, and its faults."""
+    """Add the readings of a thermometer, and its faults, to ``readings``."""
     departure = sensor.value - binning.profile.temperature(sensor.h_m)
     bins = binning.bins(sensor, departure, LEAST_SCATTER_K, resolution_of(sensor))
     readings.rejected["temperature"] = binning.reasons(sensor, bins)
@@ -282,12 +296,12 @@ def _add_thermometer(
     bias_k = BOARD_BIAS_K if settings.board_temperature else USUAL_BIAS_K
     bias, *other_faults = sensors.THERMOMETER_FAULTS
     readings.faults += [replace(bias, sigma=bias_k), *other_faults]
-    if thermometer.heating is not None:
+    if thermometer.heating_k is not None:
         readings.faults.append(sensors.RECOVERY_FACTOR)
 
 
 def _add_hygrometer(readings: _OwnReadings, sensor: SensorSamples, binning: _Binning) -> None:
-    """Readings of a hygrometer in bins of twice the height, and its bias."""
+    """Add the readings of a hygrometer in bins of twice the height, and its bias."""
     high_bins = replace(binning, width_m=2.0 * binning.width_m)
     bins = high_bins.bins(sensor, sensor.value, LEAST_SCATTER_RH, resolution_of(sensor))
     hygrometer = sensors.Humidities(
@@ -303,27 +317,31 @@ def _add_hygrometer(readings: _OwnReadings, sensor: SensorSamples, binning: _Bin
 
 
 def _usable(sensor: SensorSamples, profile: Profile) -> Mask:
-    """Accepted readings at heights that both aircraft and background reach."""
+    """(n,) which readings are accepted and at heights of the background (`_is_within`)."""
     return np.asarray(sensor.accepted & _is_within(profile, sensor.h_m))
 
 
 def _is_within(profile: Profile, height_m: Array) -> Mask:
-    """Which heights both aircraft and background reach; none that is not known."""
+    """Which heights [m] are well inside the background and the knots; False for NaN."""
     with np.errstate(invalid="ignore"):
-        is_above_bottom = height_m > profile.bottom_m + _BELOW_BOTTOM_M
-        is_below_top = height_m < TOP_M - _BELOW_TOP_M
+        is_above_bottom = height_m > profile.bottom_m + _MARGIN_AT_BOTTOM_M
+        is_below_top = height_m < TOP_M - _MARGIN_AT_TOP_M
     return np.asarray(is_above_bottom & is_below_top)
 
 
 def _seconds(sensor: SensorSamples, start_ns: int) -> Array:
-    """(n,) seconds of its readings since a time [Unix ns]."""
+    """(n,) times of a sensor's readings [s], since ``start_ns`` [Unix ns]."""
     nanoseconds = (sensor.time_ns - start_ns).astype(np.float64)
     return np.asarray(nanoseconds * 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
 class _Binning:
-    """The bins of a flight: their size, the first time, and the profile they are averaged about."""
+    """How the readings of a flight are averaged in bins: as departures from ``profile``.
+
+    ``start_ns``: time from which seconds count [Unix ns]. ``width_m``, ``slice_s``: size of a bin
+    in height [m'] and in time.
+    """
 
     profile: Profile
     start_ns: int
@@ -338,7 +356,7 @@ class _Binning:
         start_ns: int,
         duration_s: float,
     ) -> _Binning:
-        """Thin bins in a shallow flight, thicker where many climbs would fill too many."""
+        """Thin bins in a shallow flight, thicker ones where many climbs would fill too many."""
         extent_m = max(sensor.extent_m for sensor in instruments.values())
         climbed_m = max(sensor.climbed_m for sensor in instruments.values())
         width_m = SHALLOW_BIN_M if extent_m < SHALLOW_M else BIN_M
@@ -356,7 +374,11 @@ class _Binning:
         floor: float,
         step: Array | float,
     ) -> Bins:
-        """Means of a departure from the profile that is averaged about; ``step`` of the sensor."""
+        """Means of departures (n,) in bins, in the unit of the departures.
+
+        ``departure``: of each reading of the sensor from the profile, or the reading itself.
+        ``floor``: smallest scatter that is assumed. ``step``: resolution of the sensor.
+        """
         return bin_readings(
             _seconds(sensor, self.start_ns),
             self.profile.gravity.geopotential_height(sensor.h_m),
@@ -369,13 +391,13 @@ class _Binning:
         )
 
     def reasons(self, sensor: SensorSamples, bins: Bins) -> Reasons:
-        """(n,) why samples of a sensor are not in its bins."""
+        """(n,) why each sample of a sensor is not in its bins; `Reason.USED` where it is."""
         outside = ~_is_within(self.profile, sensor.h_m)
         reasons = with_reason(sensor.rejected, outside, Reason.OUTSIDE_CLIMATOLOGY)
         return with_reason(reasons, bins.rejected, Reason.OUTLIER)
 
     def airspeed_at(self, seconds: Array, sensor: SensorSamples | None) -> Array | None:
-        """Indicated airspeed [m/s] at times, or None."""
+        """(m,) indicated airspeed [m/s] at times (m,) [s]; None if it was not measured."""
         if sensor is None:
             return None
         is_finite = np.isfinite(sensor.value)
@@ -386,7 +408,7 @@ class _Binning:
         return np.interp(seconds, times, speeds)
 
     def flown_heights(self, sensor: SensorSamples) -> sensors.FlownHeights:
-        """The heights [m'] and times [s] that a sensor was read at."""
+        """The heights [m'] and times [s] of a sensor's samples, where the height is finite."""
         has_height = np.isfinite(sensor.h_m)
         height = self.profile.gravity.geopotential_height(sensor.h_m[has_height])
         seconds = _seconds(sensor, self.start_ns)[has_height]
@@ -396,16 +418,16 @@ class _Binning:
 def _takeoffs(samples: AirSamples, height_source: SensorSamples, start_ns: int) -> Array:
     """Times of the take-offs since ``start_ns`` [s]; long ago if the log begins in the air.
 
-    Where they are not known, it is the last sample of ``height_source``, which knows heights best,
-    before it first left the lowest 20 m; its first sample, if it never did.
+    Where the samples have no take-offs, the heights of ``height_source`` give one: its last sample
+    before it first is 20 m above its lowest height, or its first sample if it never is.
     """
     if samples.takeoff_ns is None:
         with np.errstate(invalid="ignore"):
             is_up = height_source.h_m > np.nanmin(height_source.h_m) + _GROUND_RISE_M
-        last_low = 0
+        last_on_ground = 0
         if bool(is_up.any()):
-            last_low = max(int(np.argmax(is_up)) - 1, 0)
-        takeoff_ns = int(height_source.time_ns[last_low])
+            last_on_ground = max(int(np.argmax(is_up)) - 1, 0)
+        takeoff_ns = int(height_source.time_ns[last_on_ground])
         return np.array([(takeoff_ns - start_ns) * 1e-9])
     if samples.takeoff_ns.size == 0:  # in the air from the beginning
         return np.array([LONG_AGO_S])
@@ -418,19 +440,22 @@ def _thermometer(
     conditions: _Conditions,
     binning: _Binning,
 ) -> sensors.Thermometer:
-    """Readings of a thermometer, since which take-off, and in which airspeed and climb."""
+    """The readings of a thermometer in bins, each with what its errors depend on.
+
+    That is the time since the last take-off, the warming by airspeed, and whether in a climb.
+    """
     profile = binning.profile
     h = profile.gravity.height(bins.height)
     temperature_k = bins.value + profile.temperature(h)
     speed = binning.airspeed_at(bins.seconds, conditions.airspeed)
-    heating = None
+    heating_k = None
     if speed is not None:
-        heating = sensors.heating_of(speed, profile.pressure(h), temperature_k)
+        heating_k = sensors.airspeed_heating(speed, profile.pressure(h), temperature_k)
     last = np.searchsorted(conditions.takeoffs_s, bins.seconds, side="right") - 1
-    since_s = bins.seconds - conditions.takeoffs_s[np.maximum(last, 0)]
-    heights = conditions.flown
+    since_s = bins.seconds - conditions.takeoffs_s[np.maximum(last, 0)]  # negative before the first
+    flown = conditions.flown
     half_s = 0.5 * CLIMB_WINDOW_S
-    rise_m = heights.at(bins.seconds + half_s) - heights.at(bins.seconds - half_s)
+    rise_m = flown.height_at(bins.seconds + half_s) - flown.height_at(bins.seconds - half_s)
     is_climbing = rise_m > CLIMB_WINDOW_S * CLIMBING_M_S
     return sensors.Thermometer(
         sensor.name,
@@ -439,7 +464,7 @@ def _thermometer(
         np.hypot(bins.sigma, AIR_NOISE_K),
         seconds=bins.seconds,
         since_s=np.maximum(since_s, 0.0),
-        flown=heights,
+        flown=flown,
         climbing=np.where(is_climbing, 1.0, 0.0),
-        heating=heating,
+        heating_k=heating_k,
     )

@@ -1,4 +1,4 @@
-"""Sensor checks: known biases are subtracted, then sensors are checked by physics."""
+"""Checks of a flight's sensors, before and after the estimate; stated biases are subtracted."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,9 +25,9 @@ CLIMB_TO_COMPARE_M = 200.0  # over less height the fall of pressure shows nothin
 STUCK_M = 300.0  # equal readings over so much height are of a sensor that is stuck [m]
 FEWEST_STUCK = 5  # if there are so many
 
-SLOWEST = {"temperature": 2e-3, "pressure": 5.0, "humidity": 1e-4}
-"""Change a metre that coarse steps may hide: a thermometer that reports whole degrees may read the
-same over 800 m of isothermal air [K/m, Pa/m, 1/m]."""
+SLOWEST_CHANGE = {"temperature": 2e-3, "pressure": 5.0, "humidity": 1e-4}
+"""Change with height that the resolution of a sensor may hide [K/m, Pa/m, 1/m]: a thermometer that
+reports whole degrees may read the same over 800 m of isothermal air, 500 m more than `STUCK_M`."""
 
 # Beyond these relative humidities a constant reading is plausible.
 DRY = 0.02
@@ -41,14 +41,15 @@ CONTRADICTED = 4.0
 """Sigmas between a calibration and the estimate from the flight, at which one must be wrong."""
 
 UNEXPECTED = 2.0
-"""Expected sigmas, and one of its own, beyond which an error that nobody stated is a warning."""
+"""An estimated error without a stated calibration is a warning if it is larger than so many of its
+prior sigmas and one sigma of the estimate."""
 
-LOST_SHARE = 0.01  # a static pressure that loses more of its change is a warning
-LOST_SIGMAS = 3.0  # if it does by so many sigmas
+LOST_SHARE = 0.01  # a static pressure that loses a larger share of its change is a warning
+LOST_SIGMAS = 3.0  # if the share is also larger than so many of its sigmas
 
 _MISSION_KEY = "atmosphere.sensors"
-_LEARNT = 0.7  # of the usual sigma: an estimate that gained less is no evidence
-_READINGS = {
+_LEARNT = 0.7  # of the prior sigma: an estimate with a larger sigma is not evidence
+_QUANTITY_OF_BIAS = {
     SensorFault.THERMOMETER_BIAS: "temperature",
     SensorFault.PRESSURE_OFFSET: "pressure",
     SensorFault.HYGROMETER_BIAS: "humidity",
@@ -59,14 +60,15 @@ def subtract_known_biases(
     samples: AirSamples,
     settings: SensorSettings,
 ) -> tuple[tuple[AirSamples, SensorSettings], Notes]:
-    """Samples without the known biases, before any check, and settings in which these are 0.
+    """Samples from which the stated biases are subtracted, and settings in which these are 0.
 
-    The report lists what remains, for example 0.3 K after 12.0 K were subtracted.
+    This is done before any check. The report lists the bias that the flight shows after this, for
+    example 0.3 K after 12.0 K were subtracted.
     """
     corrected: dict[str, Any] = {}
     calibration = dict(settings.calibration)
     texts = []
-    for fault, quantity in _READINGS.items():
+    for fault, quantity in _QUANTITY_OF_BIAS.items():
         stated_bias = calibration.get(fault)
         sensor = samples.sensors.get(quantity)
         if stated_bias is None or not stated_bias.mean or sensor is None:
@@ -93,20 +95,22 @@ def check_calibration(
     settings: SensorSettings,
     estimate_with: Callable[[SensorSettings], Estimate],
 ) -> Notes:
-    """A stated calibration that the flight contradicts, and those that are not used.
+    """Messages on stated calibrations, and on large errors without one.
 
-    Also errors that nobody stated and no working sensor has. Each stated value is compared with an
-    estimate without it, in which the other sensors have their usual errors: a rare fault would
-    explain a wrong calibration away. One wrong value makes others seem wrong, so only the worst is
-    named.
+    Three kinds: a stated calibration that the flight contradicts; an estimated error that is larger
+    than that of a working sensor and has no calibration; calibrations of errors that no sensor in
+    use has. ``made``: the estimate with the calibrations. ``estimate_with``: makes an estimate from
+    the same flight with other settings. Each stated value is compared with an estimate without it,
+    in which the other sensors have their usual errors, because a rare fault could explain a wrong
+    calibration away. One wrong value makes others seem wrong, so only the worst is reported.
     """
-    mean = {fault.name: fault.mean for fault in made.readings.faults}
-    worst = CONTRADICTED
+    expected_value = {fault.name: fault.mean for fault in made.readings.faults}
+    worst_sigmas = CONTRADICTED
     notes: list[Message] = []
     large = []
     for fault in made.faults:
         calibration = settings.calibration.get(fault.fault)
-        expected = mean[fault.fault]
+        expected = expected_value[fault.fault]
         if calibration is None:
             if _is_unexpected(fault, expected):
                 large.append(described_fault(fault))
@@ -115,8 +119,8 @@ def check_calibration(
         departure = abs(flown.value - expected)
         sigmas = departure / math.hypot(flown.sigma, fault.prior_sigma)
         is_learnt = flown.sigma < _LEARNT * flown.prior_sigma
-        if is_learnt and sigmas > worst:
-            worst = sigmas
+        if is_learnt and sigmas > worst_sigmas:
+            worst_sigmas = sigmas
             contradicted = messages.air_calibration(
                 where=calibration.path,
                 fault=FAULT_TEXTS[fault.fault],
@@ -130,12 +134,15 @@ def check_calibration(
     if large:
         notes.append(messages.air_sensors_large(count=len(large), faults="; ".join(large)))
     drifts = {drift.name for drift in made.readings.drifts}
-    unused = set(settings.calibration) - set(mean) - drifts
+    unused = set(settings.calibration) - set(expected_value) - drifts
     return *notes, *unused_calibration(unused)
 
 
 def _is_unexpected(fault: FaultEstimate, expected: float) -> bool:
-    """Whether a fault that nobody stated is larger than any working sensor has."""
+    """Whether a fault without a stated calibration is larger than that of a working sensor.
+
+    ``expected``: its prior mean.
+    """
     limit = UNEXPECTED * fault.prior_sigma + fault.sigma
     if fault.fault == SensorFault.PRESSURE_SCALE:
         limit = max(LOST_SHARE, LOST_SIGMAS * fault.sigma)
@@ -147,7 +154,10 @@ def _estimated_without_statement(
     settings: SensorSettings,
     estimate_with: Callable[[SensorSettings], Estimate],
 ) -> FaultEstimate:
-    """A fault as the flight shows it where its calibration is not stated."""
+    """A fault as the flight shows it if its calibration were not stated.
+
+    The sensors have usual errors only, except that a leak may be large if it is the fault itself.
+    """
     calibration = dict(settings.calibration)
     del calibration[name]
     usual = name != SensorFault.PRESSURE_SCALE
@@ -157,14 +167,14 @@ def _estimated_without_statement(
 
 
 def described_fault(estimated: FaultEstimate) -> str:
-    """A sensor fault with its sigma, for the ledger."""
+    """A sensor fault with value and sigma, in words for the ledger."""
     fault = estimated.in_units()
     digits = max(1 - math.floor(math.log10(fault.sigma)), 0)
     return f"{FAULT_TEXTS[fault.fault]} {fault.value:.{digits}f} ± {fault.sigma:.{digits}f}"
 
 
 def unused_calibration(faults: set[SensorFault]) -> Notes:
-    """What is reported of stated calibrations of faults that no sensor in use has."""
+    """The message on stated calibrations of ``faults``, which no sensor in use has, if any."""
     if not faults:
         return ()
     names = sorted(FAULT_TEXTS[fault] for fault in faults)
@@ -177,15 +187,15 @@ def unused_calibration(faults: set[SensorFault]) -> Notes:
 
 
 def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, Notes]:
-    """The samples without sensors that contradict physics.
+    """The samples without readings and sensors that contradict physics, and messages on these.
 
-    Readings must not stay the same during a climb, and pressure must fall with GNSS height as it
-    does in air of 180 to 335 K.
+    Readings must not stay the same during a climb: such readings are rejected, of a barometer all.
+    Pressure must fall with GNSS height as in air of 180 to 335 K, else the barometer is not used.
     """
     notes: list[Message] = []
     checked: dict[str, Any] = {}
     for quantity, sensor in samples.sensors.items():
-        is_stuck = _stuck(sensor, quantity)
+        is_stuck = _stuck_rows(sensor, quantity)
         if not bool(is_stuck.any()):
             continue
         value = sensor.value[is_stuck][0]
@@ -218,7 +228,10 @@ def usable_sensors(samples: AirSamples, standard: Profile) -> tuple[AirSamples, 
 
 
 def _fall_outside(pressure: SensorSamples, standard: Profile) -> Fall:
-    """How a pressure falls with height, by means about a standard."""
+    """How a pressure falls with height, by medians in bins of its departure from a standard.
+
+    Without a fall, and so not that of air, where fewer than three bins have readings.
+    """
     gravity = standard.gravity
     with np.errstate(invalid="ignore", divide="ignore"):
         departure = np.log(pressure.value) - np.log(standard.pressure(pressure.h_m))
@@ -231,7 +244,7 @@ def _fall_outside(pressure: SensorSamples, standard: Profile) -> Fall:
 
 
 def _indoors(pressure: SensorSamples, oddity: str) -> Message:
-    """That a pressure is not that outside."""
+    """Message that a pressure is not that of the air outside; ``oddity`` in words."""
     return messages.air_not_outside(
         where=pressure.name,
         what_is_odd=oddity,
@@ -253,24 +266,25 @@ def maybe_in_a_bay(made: Estimate, samples: AirSamples) -> Notes:
     return (message,)
 
 
-def _stuck(sensor: SensorSamples, quantity: str) -> Mask:
-    """Which readings are in a run of equal ones over more height than the resolution explains.
+def _stuck_rows(sensor: SensorSamples, quantity: str) -> Mask:
+    """(n,) which readings are in a run of equal ones over more height than the resolution explains.
 
-    The resolution is the smallest difference between readings. Humidity may stay at its ends.
+    The resolution is the smallest difference between readings. A relative humidity may stay below
+    2 % or above 97 %. Rejected readings are never stuck.
     """
     stuck = np.zeros(sensor.value.size, dtype=bool)
     rows = np.flatnonzero(sensor.accepted)
     h, value = sensor.used()
     if rows.size < FEWEST_STUCK:
         return stuck
-    last_of_run = np.flatnonzero(value[1:] != value[:-1])
+    last_of_run = np.flatnonzero(value[1:] != value[:-1])  # of all runs but the last
     start = np.concatenate([[0], 1 + last_of_run])
     count = np.diff(start, append=rows.size)
     extent = np.maximum.reduceat(h, start) - np.minimum.reduceat(h, start)
     resolutions = np.diff(np.unique(value))
     hidden_m = 0.0
     if resolutions.size:
-        hidden_m = float(resolutions.min()) / SLOWEST[quantity]
+        hidden_m = float(resolutions.min()) / SLOWEST_CHANGE[quantity]
     is_stuck = (extent >= STUCK_M + hidden_m) & (count >= FEWEST_STUCK)
     if quantity == "humidity":
         is_stuck &= (value[start] > DRY) & (value[start] < MOIST)
@@ -285,10 +299,11 @@ def pressure_level(
     *,
     other_sources: Sequence[str],
 ) -> Message:
-    """The residuals of the measured pressures, and whether their level is plausible.
+    """The message on the level of the profile's pressure, and how well measured pressures fit it.
 
-    At sea level it is within 5 sigma of the climatology's; 10 sigma are no weather. Without
-    measured pressures ``other_sources`` give the level, or the background where there are none.
+    A note if the pressure at sea level is within 5 sigma of the climatology, a warning if farther,
+    a loss from 10 sigma on, which weather does not reach. Without measured pressures it names what
+    gives the level instead: ``other_sources``, or the background where there are none.
     """
     if pressure is None or not bool(pressure.accepted.any()):
         source = " and ".join(other_sources) or f"the climatology {background.profile.name}"

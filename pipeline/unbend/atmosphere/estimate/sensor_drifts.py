@@ -1,4 +1,4 @@
-"""How the readings of a thermometer and of a barometer may drift, before a flight shows it."""
+"""The priors of the drifts of a thermometer and of a barometer."""
 
 import numpy as np
 
@@ -9,9 +9,10 @@ from unbend.units import Array
 DRIFT_STEP_S = 45.0
 ALONE_STEP_S = 15.0
 MOST_DRIFT_STEPS = 60
-"""Knots of drifts; with 300 s the sigma of R over 1 km was 2.3 % and the error 4.1 %. Nearer of a
-barometer alone (a walk between knots 45 s apart is too smooth for a climb of a minute: over 300 m
-errors of 1.35 sigma RMS), and where it judges a thermometer (1 in 100 good ones failed)."""
+"""Time between the knots of drifts, and their largest number. With 300 s the sigma of R over 1 km
+was 2.3 % and the error 4.1 %. A barometer alone has closer knots, because a walk between knots 45 s
+apart is too smooth for a climb of a minute (over 300 m errors of 1.35 sigma RMS); so has one that a
+thermometer is compared with (else 1 in 100 good thermometers failed)."""
 
 BAROMETER_SCALES = (0.1, 8.0)
 THERMOMETER_SCALES = (1.0, 3.0)
@@ -33,15 +34,22 @@ _BAROMETER_DRIFT_S = 1200.0
 
 
 def drift_knots(duration_s: float, settings: SensorSettings, *, with_thermometer: bool) -> Array:
-    """Knots (k,) [s] of the drifts of a flight, whose sensors may include a thermometer."""
-    is_coarse = settings.usual_errors_only or not with_thermometer
-    step_s = ALONE_STEP_S if is_coarse else DRIFT_STEP_S
+    """Knots (k,) [s] of the drifts of a flight, from its first sample to its last.
+
+    ``with_thermometer``: whether the flight has a thermometer in use.
+    """
+    is_close = settings.usual_errors_only or not with_thermometer
+    step_s = ALONE_STEP_S if is_close else DRIFT_STEP_S
     steps = min(MOST_DRIFT_STEPS, int(duration_s / step_s))
     return np.linspace(0.0, duration_s, 2 + steps)
 
 
 def barometer_drift(knots: Array, settings: SensorSettings, *, with_thermometer: bool) -> Drift:
-    """How a barometer and GNSS heights drift, beside a thermometer or alone."""
+    """The prior of the drift of a barometer and of GNSS heights together.
+
+    Its sigma is 1; `sensors.Barometer` multiplies it by that in ln p. ``with_thermometer``: whether
+    the flight has a thermometer in use; then the sigma is not made smaller by the residuals.
+    """
     least, most = BAROMETER_SCALES
     if settings.usual_errors_only:
         most = 1.0
@@ -57,14 +65,17 @@ def barometer_drift(knots: Array, settings: SensorSettings, *, with_thermometer:
 
 
 def thermometer_drift(knots: Array, settings: SensorSettings) -> Drift:
-    """How a thermometer drifts, beside what the sun on it changes."""
+    """The prior of the drift of a thermometer [K], and of what the sun on it changes.
+
+    A drift that the mission file states, or of one on a circuit board, keeps its sigma.
+    """
     calibration = settings.calibration.get(SensorFault.THERMOMETER_DRIFT, SensorCalibration())
-    is_known = calibration.sigma is not None
+    is_stated = calibration.sigma is not None
     usual_k = BOARD_DRIFT_K if settings.board_temperature else USUAL_DRIFT_K
     least, most = THERMOMETER_SCALES
-    if is_known or settings.board_temperature or settings.usual_errors_only:
+    if is_stated or settings.board_temperature or settings.usual_errors_only:
         most = least
-    sun_k = 0.0 if is_known else SUN_ON_PROBE_K
+    sun_k = 0.0 if is_stated else SUN_ON_PROBE_K
     return Drift(
         SensorFault.THERMOMETER_DRIFT,
         knots,

@@ -1,4 +1,4 @@
-"""Observation equations: what a sensor reads in a given air, and its derivatives by the state."""
+"""Observation equations: what a sensor reads in the air of a state, and derivatives of this."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from unbend.atmosphere.estimate.state import AirAtKnots, Fault, Layout, SensorFault
-from unbend.atmosphere.hypsometry import hats
+from unbend.atmosphere.hypsometry import interpolation_weights
 from unbend.units import Array
 
 BAY_K = 294.0  # of a heated bay or cabin [K]
@@ -37,7 +37,8 @@ BAROMETER_FAULTS = (
 DYNAMIC_PRESSURE_ERROR = Fault(SensorFault.DYNAMIC_PRESSURE_ERROR, 0.0, 0.03)
 HYGROMETER_BIAS = Fault(SensorFault.HYGROMETER_BIAS, 0.0, 0.03)
 
-# Drifts: how the air of a sounding departs from that of the flight; with its number.
+# Names of drifts: how the air of a sounding departs from that of the flight. The number of the
+# sounding follows.
 SOUNDING_DEPARTURE = "sounding_temperature"
 SOUNDING_HUMIDITY = "sounding_humidity"
 
@@ -59,22 +60,22 @@ FAULT_TEXTS: Mapping[SensorFault, str] = {
 }
 """What the ledger, the manifest and the report print for each fault."""
 
-# One sigma of what wanders in GNSS heights and in a static pressure, over half an hour; for how it
-# goes on in time see `sensor_drifts`.
+# One sigma of the drift of GNSS heights and of a static pressure over half an hour; its correlation
+# in time is in `sensor_drifts`.
 GNSS_DRIFT_M = 1.6
 PRESSURE_DRIFT_PA = 12.0
 
 # Gauss-Laguerre: the mean over an exponential memory, exact for polynomials of degree 9 in time.
-_MEMORY, _WEIGHT = np.polynomial.laguerre.laggauss(5)
-_STEP_S = 0.5
+_MEMORY, _WEIGHT = np.polynomial.laguerre.laggauss(5)  # ages in units of the lag, and their weights
+_STEP_S = 0.5  # of the difference in time that gives the derivative by the lag
 
 
 @dataclass(frozen=True)
 class SensorCalibration:
-    """What a calibration states of a sensor fault, None where it is silent.
+    """Mean and sigma of a sensor fault by a calibration; None where it does not state them.
 
-    ``subtracted`` is the part of it that was subtracted from the readings already, ``path`` where
-    it is stated.
+    ``subtracted``: the part of the fault that was already subtracted from the readings. ``path``:
+    key of the mission file.
     """
 
     mean: float | None = None
@@ -89,25 +90,26 @@ class SensorCalibration:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """What the mission file states of the sensors, and what is known of them.
+    """What the mission file states of the sensors, and what was estimated of them before.
 
-    ``board_temperature``: the thermometer sits on a circuit board and is used all the same, as the
-    air plus an unknown 10 K that wanders. ``usual_errors_only``: no larger drift, no rare fault.
-    ``highest``: ln of the pressure [Pa] from which a lost share of change counts, where
-    readings are a flight's part.
+    ``board_temperature``: the thermometer is on a circuit board, and is used as the air plus an
+    unknown, drifting 10 K. ``calibration``: by fault. ``usual_errors_only``: drifts are not made
+    larger than expected, and rare faults are not considered. ``highest_log_p``: ln of the highest
+    pressure [Pa] of the whole flight, if the samples are a part of it (`Barometer`).
     """
 
     board_temperature: bool = False
     calibration: Mapping[SensorFault, SensorCalibration] = field(default_factory=dict)
     usual_errors_only: bool = False
-    highest: float | None = None
+    highest_log_p: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Readings(ABC):
-    """Readings (m,) at heights (m,) [m'], with the sigma (m,) of independent errors.
+    """A set of readings (m,) at geopotential heights (m,) [m'], with sigmas (m,).
 
-    ``robust`` ones lose weight where they do not fit.
+    The sigmas are of errors that are independent between readings. ``robust``: readings lose weight
+    where they do not fit, and the sigmas of the set may be inflated.
     """
 
     quantity: ClassVar[str]
@@ -119,7 +121,7 @@ class Readings(ABC):
 
     @abstractmethod
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
-        """What would be read, and its (m, s) derivatives by the state."""
+        """(m,) what would be read in an air, and the (m, s) derivatives of this by the state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,17 +131,18 @@ class FlownHeights:
     seconds: Array
     height: Array
 
-    def at(self, seconds: Array) -> Array:
-        """Heights (m,) [m'] at times (m,) [s]."""
+    def height_at(self, seconds: Array) -> Array:
+        """(m,) heights [m'] at times (m,) [s], constant before the first and after the last."""
         return np.interp(seconds, self.seconds, self.height)
 
 
 @dataclass(frozen=True, eq=False)
 class Thermometer(Readings):
-    """Means of a thermometer in bins [K].
+    """Means of a thermometer in bins [K]; (m,) arrays.
 
-    ``since_s`` time since take-off [s]; ``climbing`` is 1 in a climb, else 0; ``heating``
-    V^2/(2 c_p) of the true airspeed [K], or None.
+    ``seconds``: time since the start; ``since_s``: since the last take-off. ``flown``: heights of
+    the whole flight, for the lag. ``climbing``: 1 in a climb, else 0. ``heating_k``: V^2/(2 c_p) of
+    the true airspeed; None if that is not known.
     """
 
     quantity = "temperature"
@@ -147,85 +150,93 @@ class Thermometer(Readings):
     since_s: Array
     flown: FlownHeights
     climbing: Array
-    heating: Array | None = None
+    heating_k: Array | None = None
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
-        """T as a sensor with a memory reads it, with its faults.
+        """(m,) temperatures as a sensor with lag and other faults reads them; see `Readings`.
 
         T_read(t) = (1 - g) T_felt + g T_bay + bias + b_0 exp(-t/tau) + c (in the climb) +
-        r V^2/(2 c_p) + drift(t), where T_felt(t) is the integral of T(H(t - s)) exp(-s/lag)/lag ds.
-        A climb into colder air reads warm, a descent cold; the integral follows the heights really
-        flown, after a long stand or a level run too. Of a thermometer in a bay a share g of the
-        air is not from outside.
+        r V^2/(2 c_p) + drift(t), where T_felt(t) is the integral of T(H(t - s)) exp(-s/lag)/lag ds
+        over the heights H that were flown before: a climb into colder air reads warm, a descent
+        cold. In order: a share g of the air is that of a bay; bias; take-off transient, with t
+        since take-off; warmth in a climb; recovery factor r; drift.
         """
         layout = air.layout
         x = air.x
-        felt, by_lag = self._felt(air)
-        felt_k = felt @ air.temperature
-        in_bay = x[layout.fault(SensorFault.BAY_SHARE)]
+        felt_by_t, felt_by_lag = self._felt(air)
+        felt_k = felt_by_t @ air.temperature
+        bay_share = x[layout.fault(SensorFault.BAY_SHARE)]
         decay_s = np.exp(x[layout.fault(SensorFault.TRANSIENT_DECAY)])
-        left = np.exp(-self.since_s / decay_s)
+        decay = np.exp(-self.since_s / decay_s)
         transient = x[layout.fault(SensorFault.TAKEOFF_TRANSIENT)]
-        reading = felt_k + in_bay * (BAY_K - felt_k)
+        reading = felt_k + bay_share * (BAY_K - felt_k)
         reading += self.climbing * x[layout.fault(SensorFault.CLIMB_WARMTH)]
-        reading += x[layout.fault(SensorFault.THERMOMETER_BIAS)] + transient * left
+        reading += x[layout.fault(SensorFault.THERMOMETER_BIAS)] + transient * decay
         by_fault = {
             SensorFault.THERMOMETER_BIAS: 1.0,
-            SensorFault.THERMOMETER_LAG: (1.0 - in_bay) * by_lag,
+            SensorFault.THERMOMETER_LAG: (1.0 - bay_share) * felt_by_lag,
             SensorFault.BAY_SHARE: BAY_K - felt_k,
             SensorFault.CLIMB_WARMTH: self.climbing,
-            SensorFault.TAKEOFF_TRANSIENT: left,
-            SensorFault.TRANSIENT_DECAY: transient * left * self.since_s / decay_s,
+            SensorFault.TAKEOFF_TRANSIENT: decay,
+            # by ln tau
+            SensorFault.TRANSIENT_DECAY: transient * decay * self.since_s / decay_s,
         }
-        if self.heating is not None:
-            by_fault[SensorFault.RECOVERY_FACTOR] = self.heating
-            reading += self.heating * x[layout.fault(SensorFault.RECOVERY_FACTOR)]
+        if self.heating_k is not None:
+            by_fault[SensorFault.RECOVERY_FACTOR] = self.heating_k
+            reading += self.heating_k * x[layout.fault(SensorFault.RECOVERY_FACTOR)]
         jacobian = np.zeros((self.value.size, layout.size))
-        jacobian[:, layout.temperature] = felt * (1.0 - in_bay)
+        jacobian[:, layout.temperature] = felt_by_t * (1.0 - bay_share)
         for fault, derivative in by_fault.items():
             jacobian[:, layout.fault(fault)] = derivative
         drift, rows = layout.drift(SensorFault.THERMOMETER_DRIFT)
-        jacobian[:, rows] = hats(drift.knot, self.seconds)
+        jacobian[:, rows] = interpolation_weights(drift.knot, self.seconds)
         return reading + jacobian[:, rows] @ x[rows], jacobian
 
     def _felt(self, air: AirAtKnots) -> tuple[Array, Array]:
-        """(m, k) weights of the knots' temperatures in T_felt, and its derivative by the lag."""
+        """(m, k) weights of the knots' temperatures in T_felt, and (m,) d T_felt / d lag [K/s].
+
+        T_felt is the weighted mean of the temperatures at five past times, from 0.3 to 13
+        times the lag ago.
+        """
         knot = air.layout.knot
         lag_s = air.x[air.layout.fault(SensorFault.THERMOMETER_LAG)]
         weights = np.zeros((self.value.size, knot.size))
         by_lag = np.zeros(self.value.size)
-        beside = self.height - self.flown.at(self.seconds)
+        # The mean height of a bin is not that flown at its mean time: the path is moved onto it.
+        offset = self.height - self.flown.height_at(self.seconds)
         for memory, weight in zip(_MEMORY, _WEIGHT, strict=True):
-            then = self.seconds - lag_s * memory
-            at_knots = hats(knot, self.flown.at(then) + beside)
-            weights += weight * at_knots
-            before = self.flown.at(then - _STEP_S) + beside
-            before_k = np.interp(before, knot, air.temperature)
-            change = before_k - at_knots @ air.temperature
+            then_s = self.seconds - lag_s * memory
+            weights_then = interpolation_weights(knot, self.flown.height_at(then_s) + offset)
+            weights += weight * weights_then
+            earlier_height = self.flown.height_at(then_s - _STEP_S) + offset
+            earlier_k = np.interp(earlier_height, knot, air.temperature)
+            change = earlier_k - weights_then @ air.temperature
             by_lag += weight * memory * change / _STEP_S
         return weights, by_lag
 
 
 @dataclass(frozen=True, eq=False)
 class Barometer(Readings):
-    """Means of ln of a static pressure [Pa] in bins of GNSS height.
+    """Means of ln of a static pressure [Pa] in bins of GNSS height; (m,) arrays.
 
-    ``highest`` ln of it, from which a lost share of change counts; ``dynamic`` pressure
-    rho_0 V^2/2 of the indicated airspeed [Pa], or None.
+    ``highest_log_p``: ln of the highest pressure p_0 of the flight, since which a leaking source
+    loses a share of the change. ``dynamic_pa``: q = rho_0 V^2/2 of the indicated airspeed; None if
+    that is not known.
     """
 
     quantity = "pressure"
     seconds: Array
-    highest: float
-    dynamic: Array | None = None
+    highest_log_p: float
+    dynamic_pa: Array | None = None
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
-        """ln p(H) by Eq. 52-53, with the faults of the sensor and of H.
+        """(m,) ln p(H) by Eq. 52-53, with the faults of the sensor and of H; see `Readings`.
 
-        ln p_read = ln p(H - dh) + (offset + s (p_0 - p) + c q)/p + drift(t): a height read too
-        large belongs to air farther down, d ln p/dh = -(G M0/R*)/T_M, and a static source loses a
-        share s of the change since the highest pressure p_0. The drift is a process of unit
-        variance times the two drifts, of height and of pressure, as large as they are in ln p.
+        ln p_read = ln p(H - dh) + (offset + s (p_0 - p) + c q)/p + drift(t). A GNSS height that is
+        too large by dh belongs to air farther down, d ln p/dh = -(G M0/R*)/T_M. A static source
+        loses a share s of the change since the highest pressure p_0, and has an error c of dynamic
+        pressure q. The drift is a process of unit variance times the sigma in ln p of the drifts of
+        height and of pressure together.
         """
         layout = air.layout
         x = air.x
@@ -234,92 +245,109 @@ class Barometer(Readings):
         per_pascal = np.exp(-self.value)
         by_fault = {
             SensorFault.PRESSURE_OFFSET: per_pascal,
-            SensorFault.PRESSURE_SCALE: np.expm1(self.highest - self.value),
+            SensorFault.PRESSURE_SCALE: np.expm1(self.highest_log_p - self.value),
             SensorFault.GNSS_HEIGHT_OFFSET: per_metre,
         }
-        if self.dynamic is not None:
-            by_fault[SensorFault.DYNAMIC_PRESSURE_ERROR] = self.dynamic * per_pascal
+        if self.dynamic_pa is not None:
+            by_fault[SensorFault.DYNAMIC_PRESSURE_ERROR] = self.dynamic_pa * per_pascal
         for fault, derivative in by_fault.items():
             jacobian[:, layout.fault(fault)] = derivative
             reading += derivative * x[layout.fault(fault)]
         drift, rows = layout.drift(SensorFault.BAROMETER_DRIFT)
         sigma = np.hypot(GNSS_DRIFT_M * per_metre, PRESSURE_DRIFT_PA * per_pascal)
-        jacobian[:, rows] = hats(drift.knot, self.seconds) * sigma[:, None]
+        jacobian[:, rows] = interpolation_weights(drift.knot, self.seconds) * sigma[:, None]
         return reading + jacobian[:, rows] @ x[rows], jacobian
 
 
 @dataclass(frozen=True, eq=False)
 class Temperatures(Readings):
-    """Temperatures at heights [K], of a balloon or a station; ``drift`` names their departure."""
+    """Temperatures [K] of a balloon or a station; ``drift`` names their departure in the state.
+
+    None if their departure is part of the sigmas.
+    """
 
     quantity = "temperature"
     drift: str | None = None
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
-        """T(H) + departure(H)."""
+        """T(H) + departure(H); see `Readings`."""
         layout = air.layout
-        jacobian = _at_heights(layout, self.height, layout.temperature, layout.knot, self.drift)
+        jacobian = _interpolation_jacobian(
+            layout, self.height, layout.temperature, layout.knot, self.drift
+        )
         return jacobian @ air.x, jacobian
 
 
 @dataclass(frozen=True, eq=False)
 class Humidities(Readings):
-    """Relative humidities (0-1) at heights, of any origin; ``fault`` or ``drift`` is theirs."""
+    """Relative humidities (0-1) of a hygrometer, balloon or station.
+
+    ``fault``: the bias of a hygrometer; ``drift``: name of a balloon's departure in the state; None
+    where there is none.
+    """
 
     quantity = "humidity"
     fault: SensorFault | None = None
     drift: str | None = None
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
-        """RH(H) + bias + departure(H)."""
+        """RH(H) + bias + departure(H); see `Readings`."""
         layout = air.layout
-        jacobian = _at_heights(layout, self.height, layout.humidity, layout.humid, self.drift)
+        jacobian = _interpolation_jacobian(
+            layout, self.height, layout.humidity, layout.humid, self.drift
+        )
         if self.fault is not None:
             jacobian[:, layout.fault(self.fault)] = 1.0
         return jacobian @ air.x, jacobian
 
 
-def _at_heights(
+def _interpolation_jacobian(
     layout: Layout,
     height: Array,
     rows: slice,
     knot: Array,
     departure: str | None,
 ) -> Array:
-    """(m, s) derivatives of what is interpolated at heights between knots, and of its departure."""
+    """(m, s) derivatives by the state of a quantity at heights (m,) [m'], and of its departure.
+
+    The quantity is the part ``rows`` of the state, at knots ``knot`` [m'], and linear between.
+    ``departure``: name of the drift that is added to it, or None.
+    """
     jacobian = np.zeros((height.size, layout.size))
-    jacobian[:, rows] = hats(knot, height)
+    jacobian[:, rows] = interpolation_weights(knot, height)
     if departure is not None:
         drift, rows_of_drift = layout.drift(departure)
-        jacobian[:, rows_of_drift] = hats(drift.knot, height)
+        jacobian[:, rows_of_drift] = interpolation_weights(drift.knot, height)
     return jacobian
 
 
 @dataclass(frozen=True, eq=False)
 class Pressures(Readings):
-    """ln of pressures [Pa] at heights that are known: a station, a balloon, the sea level."""
+    """ln of pressures [Pa] without sensor faults: of a station, a balloon, or at sea level."""
 
     quantity = "pressure"
 
     def predict(self, air: AirAtKnots) -> tuple[Array, Array]:
-        """ln p(H) by Eq. 52-53."""
+        """ln p(H) by Eq. 52-53; see `Readings`."""
         return air.log_pressure(self.height)
 
 
-def heating_of(airspeed_m_s: Array, pressure_pa: Array, temperature_k: Array) -> Array:
-    """V^2/(2 c_p) [K] of the true airspeed, from the indicated one: V^2 = V_i^2 rho_0/rho.
+def airspeed_heating(airspeed_m_s: Array, pressure_pa: Array, temperature_k: Array) -> Array:
+    """By how much air that is stopped warms [K]: V^2/(2 c_p) of the true airspeed V.
 
-    >>> heating_of(np.array([70.0]), np.array([7e4]), np.array([270.0])).round(2).tolist()
+    From the indicated airspeed V_i [m/s], with V^2 = V_i^2 rho_0/rho.
+
+    >>> airspeed_heating(np.array([70.0]), np.array([7e4]), np.array([270.0])).round(2).tolist()
     [3.31]
     """
     density = pressure_pa / (GAS_CONSTANT_DRY * temperature_k)
     return np.asarray(airspeed_m_s**2 * SEA_LEVEL_DENSITY / density / (2.0 * HEAT_CAPACITY))
 
 
-def dynamic_of(airspeed_m_s: Array) -> Array:
+def dynamic_pressure(airspeed_m_s: Array) -> Array:
     """Dynamic pressure [Pa] of an indicated airspeed.
 
-    >>> dynamic_of(np.array([40.0])).round(6).tolist()
+    >>> dynamic_pressure(np.array([40.0])).round(6).tolist()
     [980.0]
     """
     return np.asarray(0.5 * SEA_LEVEL_DENSITY * airspeed_m_s**2)

@@ -16,6 +16,7 @@ from unbend.atmosphere.covariance import ProfileCovariance
 from unbend.atmosphere.estimate import hypotheses
 from unbend.atmosphere.estimate.external_readings import TimeAndPlace
 from unbend.atmosphere.estimate.hypotheses import Evidence, Hypothesis
+from unbend.atmosphere.estimate.knots import place_humid_knots, place_knots
 from unbend.atmosphere.estimate.normal_equations import (
     HUBER_STEPS,
     Fit,
@@ -30,8 +31,6 @@ from unbend.atmosphere.estimate.state import (
     Prior,
     SensorFault,
     air_of,
-    place_humid_knots,
-    place_knots,
     prior_of,
 )
 from unbend.atmosphere.layers import RELAXED, stack_layers
@@ -43,16 +42,16 @@ from unbend.units import Array
 _MOST_STEPS = 80
 _CONVERGED_K = 2e-3
 _SETTLED = 0.02  # relative change of inflation factors in the last step
-_LEAST_SHARE = 1.0 / 64.0  # of a step, halved whenever it turns back
-_REGAINED = 1.5  # times the share of a step, by each that does not turn back
-_LATE = 20  # from this step on the share grows slowly, and drifts keep their size
-_REGAINED_LATE = 1.1
-_MISFIT_OF_A_MINIMUM = 5.0  # ln of a likelihood, by which a second minimum may be worse
+_LEAST_SHARE = 1.0 / 64.0  # of a step that is taken; it is halved whenever the step turns back
+_REGAINED = 1.5  # factor by which the share grows with each step that does not turn back
+_LATE = 20  # from this step on the share grows slowly, and drifts keep their variance
+_REGAINED_LATE = 1.1  # the same factor from then on
+_MISFIT_OF_A_MINIMUM = 5.0  # a log inflation larger by this is suspected to be a second minimum
 
 
 @dataclass(frozen=True)
 class FaultEstimate:
-    """A sensor fault as estimated."""
+    """A sensor fault as estimated, in the unit of the state, with its sigma before the flight."""
 
     fault: SensorFault
     value: float
@@ -60,21 +59,25 @@ class FaultEstimate:
     prior_sigma: float
 
     def in_units(self) -> "FaultEstimate":
-        """The same in the unit of its text: the decay time, whose logarithm is estimated."""
+        """The fault in the unit of its text (`sensors.FAULT_TEXTS`).
+
+        Only the decay time differs: the state has its logarithm, the text has seconds.
+        """
         if self.fault is not SensorFault.TRANSIENT_DECAY:
             return self
-        time = float(np.exp(self.value))
-        return FaultEstimate(self.fault, time, time * self.sigma, time * self.prior_sigma)
+        time_s = float(np.exp(self.value))
+        return FaultEstimate(self.fault, time_s, time_s * self.sigma, time_s * self.prior_sigma)
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The air of a flight, in layers between the knots.
+    """The air of a flight, in layers between the knots, and how it was estimated.
 
-    ``background_sigma_k`` (k,) prior sigma of temperature at the knots; ``state`` the solution
-    itself, and ``converged`` whether temperatures moved by less than 2 mK in the last step;
-    ``drift_scales`` the sigma of each drift over the expected one, by the residuals; ``layout``
-    that of the hypothesis that fits best, and ``chances`` how probable each is, by its name.
+    ``background_sigma_k`` (k,): prior sigma of temperature at the knots. ``fits``: of each set of
+    ``readings``. ``state`` (s,): the solution. ``converged``: whether temperatures moved by less
+    than 2 mK in the last step. ``drift_scales``: by name, the sigma of each drift over the expected
+    one. ``layout``: of the state, by the hypothesis that fits best. ``chances``: probability of
+    each hypothesis on the sensors, by its name.
     """
 
     profile: Profile
@@ -92,9 +95,9 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """State, its covariance, and the air of it.
+    """The solution of one hypothesis: state ``x`` (s,), its covariance (s, s), and its air.
 
-    ``prior`` has the drifts as large as they are; ``weights`` (m,) are those of each set of
+    ``prior``: with the variances of drifts that the flight shows. ``weights``: (m,) of each set of
     readings in the last step.
     """
 
@@ -109,15 +112,21 @@ class Solution:
 
     @property
     def log_inflation(self) -> float:
-        """Sum of ln of the factors by which the sigmas of its readings were multiplied."""
+        """Sum over all readings of ln of their sigma inflation factor: 0 where all fit."""
         return float(sum(fit.count * np.log(fit.sigma_inflation) for fit in self.fits))
 
     def evidence(self, share: float) -> Evidence:
-        """What it says for its hypothesis, whose ``share`` is its probability beforehand."""
+        """The evidence for the hypothesis of this solution.
+
+        ``share``: its probability before the flight.
+        """
         return Evidence(share, self.air, self.prior, self.weights, self.log_inflation)
 
     def profile(self, background: Profile) -> tuple[Profile, ProfileCovariance]:
-        """The layers of the state, and the covariance of what defines them: T_M, ln p, e/p."""
+        """The profile of the state, and the covariance of T_M, ln p and e/p, which define it.
+
+        Gravity, index formula and constant are those of ``background``.
+        """
         air = self.air
         layout = air.layout
         k = layout.knot.size
@@ -156,14 +165,14 @@ def estimate(
     soundings: Sequence[Sounding] = (),
     surface: Sequence[SurfaceReport] = (),
     flight: TimeAndPlace | None = None,
-    known: Sequence[FaultEstimate] = (),
+    known_faults: Sequence[FaultEstimate] = (),
 ) -> Estimate:
     """The air by samples, soundings and surface reports, with its covariance.
 
-    ``samples`` of the flight, or of a part of it; without any it is the background with its own
-    covariance. ``moisture``: expected humidity, where the background is a dry standard. ``flight``:
-    when and where it was; without it the samples give the time. ``known``: sensor faults as
-    estimated before, which replace the expected ones.
+    ``samples``: of the flight, or of a part of it; without any source the result is the background
+    with its own covariance. ``moisture``: gives the expected humidity where the background is a dry
+    standard. ``flight``: when and where it was; by default the samples give the time.
+    ``known_faults``: sensor faults as estimated before; they replace the prior of these faults.
 
     Cost grows linearly with the number of samples (binning) and with the cube of about 300 states:
     4 hours of three sensors at 10 Hz, 144,000 samples each, take about 2 CPU s.
@@ -182,15 +191,15 @@ def estimate(
         surface=surface,
         flight=flight,
     )
-    readings = _with_faults(readings, known)
+    readings = _with_known_faults(readings, known_faults)
     alternatives = hypotheses.hypotheses_of(layout_of(readings, background), readings.rare)
-    solutions = _solved(alternatives, readings.sets, background, moisture or background)
+    solutions = _solve_hypotheses(alternatives, readings.sets, background, moisture or background)
     evidence = []
     for hypothesis, solution in zip(alternatives, solutions, strict=True):
         evidence.append(solution.evidence(hypothesis.share))
     chances = hypotheses.probabilities(evidence, readings.sets)
-    fitting = hypotheses.best_fitting(evidence, chances)
-    mixture = _mixture(solutions, chances, fitting, background.profile)
+    best = hypotheses.best_fitting(evidence, chances)
+    mixture = _mixture(solutions, chances, best, background.profile)
     profile, covariance = mixture.profile(background.profile)
     names = [hypothesis.name for hypothesis in alternatives]
     return Estimate(
@@ -203,19 +212,24 @@ def estimate(
         state=mixture.x,
         converged=mixture.converged,
         drift_scales=mixture.drift_scales,
-        layout=alternatives[fitting].layout,
+        layout=alternatives[best].layout,
         chances=hypotheses.described_chances(names, chances),
     )
 
 
-def _with_faults(readings: FlightReadings, estimated: Sequence[FaultEstimate]) -> FlightReadings:
-    """Readings whose faults are expected as they were estimated before, where they were."""
-    estimate_of = {estimate.fault: estimate for estimate in estimated}
+def _with_known_faults(
+    readings: FlightReadings, known_faults: Sequence[FaultEstimate]
+) -> FlightReadings:
+    """Readings with the prior mean and sigma of known faults replaced by their estimates.
+
+    A rare fault that concerns any of the known faults is no longer considered.
+    """
+    estimate_of = {estimate.fault: estimate for estimate in known_faults}
     faults = []
     for fault in readings.faults:
         if fault.name in estimate_of:
-            before = estimate_of[fault.name]
-            faults.append(replace(fault, mean=before.value, sigma=before.sigma))
+            known_fault = estimate_of[fault.name]
+            faults.append(replace(fault, mean=known_fault.value, sigma=known_fault.sigma))
         else:
             faults.append(fault)
     rare = []
@@ -225,16 +239,16 @@ def _with_faults(readings: FlightReadings, estimated: Sequence[FaultEstimate]) -
     return replace(readings, faults=tuple(faults), rare=tuple(rare))
 
 
-def _solved(
+def _solve_hypotheses(
     alternatives: Sequence[Hypothesis],
     sets: Sequence[Readings],
     background: Climatology,
     moisture: Climatology,
 ) -> list[Solution]:
-    """The solution of each hypothesis, the first of which is that of usual sensors.
+    """The solution of each hypothesis, in their order; the first is that of usual sensors.
 
-    One that misfits by much more than another may be at a second minimum: it is solved again from
-    where the other ended, and kept where that fits better.
+    A solution that fits much worse than the best one may be at a second minimum: its hypothesis is
+    solved again from the state of the best, and the better of the two solutions is taken.
     """
     profile = background.profile
     solutions = list[Solution]()
@@ -246,7 +260,8 @@ def _solved(
         solutions.append(solve(hypothesis.layout, prior, sets, profile, start))
     best = min(solutions, key=lambda solution: solution.log_inflation)
     for number, solution in enumerate(solutions):
-        if solution.log_inflation < best.log_inflation + _MISFIT_OF_A_MINIMUM:
+        fits_well = solution.log_inflation < best.log_inflation + _MISFIT_OF_A_MINIMUM
+        if fits_well:
             continue
         layout = alternatives[number].layout
         again = solve(layout, priors[number], sets, profile, best.x)
@@ -258,14 +273,14 @@ def _solved(
 def _mixture(
     solutions: Sequence[Solution],
     chances: Array,
-    fitting: int,
+    best: int,
     background: Profile,
 ) -> Solution:
-    """The solution of all hypotheses together.
+    """The solution number ``best``, with the mean and covariance of the mixture of all solutions.
 
-    It is that which fits best, with the mean and covariance of the mixture.
+    ``chances``: the probability of each solution's hypothesis.
     """
-    solution = solutions[fitting]
+    solution = solutions[best]
     if len(solutions) == 1:
         return solution
     layout = solution.air.layout
@@ -281,15 +296,15 @@ def _fault_estimates(
     solution: Solution,
     prior_sigma: Mapping[SensorFault, float],
 ) -> tuple[FaultEstimate, ...]:
-    """The sensor faults of a solution, with their sigma before the flight."""
+    """The sensor faults of a solution; ``prior_sigma`` is their sigma before the flight."""
     layout = solution.air.layout
     sigma = np.sqrt(np.diag(solution.covariance))
     estimates = []
-    for place, fault in enumerate(layout.faults, layout.first_fault):
+    for index, fault in enumerate(layout.faults, layout.first_fault):
         estimated = FaultEstimate(
             fault.name,
-            value=float(solution.x[place]),
-            sigma=float(sigma[place]),
+            value=float(solution.x[index]),
+            sigma=float(sigma[index]),
             prior_sigma=prior_sigma[fault.name],
         )
         estimates.append(estimated)
@@ -297,7 +312,7 @@ def _fault_estimates(
 
 
 def layout_of(readings: FlightReadings, background: Climatology) -> Layout:
-    """Knots for the heights that were measured; ln p is a state at the lowest of them."""
+    """The layout of the state: knots for the measured heights, and ln p at the lowest of these."""
     knot = place_knots(readings.low, readings.high, background.profile.layers.edge)
     humid = place_humid_knots(readings.low, readings.high)
     return Layout(knot, humid, readings.low, readings.faults, readings.drifts)
@@ -310,39 +325,42 @@ def solve(
     background: Profile,
     start: Array | None = None,
 ) -> Solution:
-    """Gauss-Newton with iterated weights; C = (J^T W J + B^-1)^-1.
+    """The state by Gauss-Newton with iterated weights; its covariance is (J^T W J + B^-1)^-1.
 
     Where the residuals of a set of readings are larger than its sigmas, or neighbours in it
-    correlate, its sigmas are multiplied by an inflation factor until they fit, so that C is not too
-    small. The sigma of a drift follows from the drift itself (`drift_variances`). ``start`` is a
-    state near the solution; without it the iteration begins at the prior, with a loss that has one
-    minimum. Lag times the shape of T(H) is not linear, and whole steps may oscillate (in 38 of 84
-    flights, by 0.1 to 0.3 K): a step that turns back is halved.
+    correlate, its sigmas are multiplied by an inflation factor until they fit, so that the
+    covariance is not too small. The variance of a drift follows from the estimated drift
+    (`drift_variances`). ``start`` (s,): a state near the solution; without it the iteration begins
+    at the prior, with a loss that has one minimum. The equations are not linear in lag and T(H)
+    together, and whole steps may oscillate (in 38 of 84 flights, by 0.1 to 0.3 K): the share of the
+    step that is taken is halved when it turns back.
     """
-    expected = prior
+    expected_prior = prior
     x = prior.mean.copy() if start is None else start
     first_step = 0 if start is None else HUBER_STEPS
     pressure = background.pressure(background.gravity.height(layout.knot))
     inflation = np.ones(len(sets))
-    variance = np.ones(len(layout.drifts))
-    length = _StepLength(np.zeros(layout.knot.size))
+    variance = np.ones(len(layout.drifts))  # of each drift over the expected one
+    step_length = _StepLength(np.zeros(layout.knot.size))
     for step in range(first_step, _MOST_STEPS):
         air = air_of(layout, x, pressure, background.constant)
-        prior = expected.with_drifts(layout, variance)
+        prior = expected_prior.with_drifts(layout, variance)
         equations = normal_equations(prior, sets, air, inflation, step)
         change = equations.change()
-        length.follow(change[layout.temperature], step)
-        x = layout.bounded(x + length.share * change)
+        step_length.follow(change[layout.temperature], step)
+        x = layout.bounded(x + step_length.share * change)
         air = air_of(layout, x, pressure, background.constant)
         pressure = air.pressure_at_knots()
-        is_settled = _agree(equations.inflation, inflation, _SETTLED)
+        is_settled = _has_hardly_changed(equations.inflation, inflation, _SETTLED)
         inflation = equations.inflation
         if HUBER_STEPS < step < _LATE:
-            drifted = drift_variances(expected.precision, layout, x, equations.normal, variance)
-            is_settled = is_settled and _agree(drifted, variance, 2.0 * _SETTLED)
-            variance = drifted
+            previous = variance
+            variance = drift_variances(
+                expected_prior.precision, layout, x, equations.normal, previous
+            )
+            is_settled = is_settled and _has_hardly_changed(variance, previous, 2.0 * _SETTLED)
         is_late_enough = step > HUBER_STEPS + 1
-        converged = is_late_enough and is_settled and length.moved_k < _CONVERGED_K
+        converged = is_late_enough and is_settled and step_length.moved_k < _CONVERGED_K
         if converged:
             break
     covariance = equations.covariance()
@@ -360,10 +378,11 @@ def solve(
 
 @dataclass(eq=False)
 class _StepLength:
-    """The ``share`` of a step that is taken.
+    """The ``share`` of each step that is taken, 1/64 to 1.
 
-    It is halved whenever the temperatures, by their ``warming`` (k,) [K], turn back, and grows
-    again with each step that does not.
+    ``warming`` (k,): change of the temperatures [K] by the whole of the last step. The share is
+    halved when a step ``turns_back``, that is against the one before, and grows again with each
+    step that does not.
     """
 
     warming: Array
@@ -371,7 +390,7 @@ class _StepLength:
     turns_back: bool = False
 
     def follow(self, warming: Array, step: int) -> None:
-        """The share for a next step, from how it would change temperatures [K]."""
+        """Set the share for step number ``step``, which as a whole would warm by ``warming``."""
         self.turns_back = bool(warming @ self.warming < 0.0)
         self.warming = warming
         if self.turns_back:
@@ -382,18 +401,21 @@ class _StepLength:
 
     @property
     def moved_k(self) -> float:
-        """The largest change of a temperature [K]; of a step that turns back, by its share."""
+        """The largest change of a temperature [K] by the whole step; by its share if it turns back.
+
+        A share that was small only because of earlier steps would look like convergence.
+        """
         largest_k = float(np.abs(self.warming).max())
         return largest_k * self.share if self.turns_back else largest_k
 
 
-def _agree(values: Array, before: Array, share: float) -> bool:
-    """Whether values have changed by less than a share of themselves."""
-    return bool(np.all(np.abs(values / before - 1.0) < share))
+def _has_hardly_changed(values: Array, before: Array, limit: float) -> bool:
+    """Whether all relative changes of values are smaller than a limit."""
+    return bool(np.all(np.abs(values / before - 1.0) < limit))
 
 
 def _scales_by_name(layout: Layout, variance: Array) -> dict[str, float]:
-    """The sigma of each drift over the expected one."""
+    """The sigma of each drift over the expected one, from the ratio of variances (d,)."""
     scales = {}
     for drift, scale in zip(layout.drifts, np.sqrt(variance), strict=True):
         scales[drift.name] = float(scale)

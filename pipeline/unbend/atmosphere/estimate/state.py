@@ -13,22 +13,9 @@ import numpy as np
 
 from unbend.atmosphere.air_variation import Part, Parts
 from unbend.atmosphere.climatology import Climatology
-from unbend.atmosphere.hypsometry import column, hats
+from unbend.atmosphere.hypsometry import interpolation_weights, inverse_temperature_integral
 from unbend.atmosphere.refractive_index import enhancement_factor, saturation_vapour_pressure
 from unbend.units import VAPOUR_DEFICIT, Array, Rows
-
-FINEST_M = 50.0
-MOST_FINE = 200
-"""Knots where something was sampled: 50 m' apart, or so far that there are no more than these."""
-
-MARGIN_M = 100.0  # fine knots go on so far beyond the samples [m']
-WIDENING = 1.25  # beyond, each layer is so many times thicker than the last
-WIDEST_M = 750.0  # up to this [m']
-TOP_M = 32_000.0  # above, the background's own breakpoints suffice [m']
-
-HUMID_M = 250.0  # between knots of humidity [m']
-HUMID_TOP_M = 15_000.0  # above, vapour weighs less than 1e-5 of n - 1 [m']
-HUMID_BOTTOM_M = -4000.0
 
 _LOWEST_K = 140.0  # of a state; no air is colder, or warmer than 360 K
 _HIGHEST_K = 360.0
@@ -70,11 +57,12 @@ class Fault:
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """A drift along time [s] or height [m']: (k,) knots, sigma there, correlation length.
+    """Prior of a drift, a part of the state at its own knots (k,), in time [s] or height [m'].
 
-    ``name`` is a `SensorFault`, or that of a sounding's humidity with its number; ``quick`` sigma
-    and correlation length of a second process beside the first. ``scales`` are
-    the smallest and the largest factor of the sigmas that the flight may show (`solver.solve`).
+    ``name``: a `SensorFault`, or `sensors.SOUNDING_HUMIDITY` with the sounding's number. ``sigma``:
+    at the knots, in the unit of the drift. ``length``: correlation length, in the unit of the
+    knots. ``quick``: sigma and correlation length of a second, independent process that is added.
+    ``scales``: smallest and largest factor by which `solver.solve` may multiply the sigmas.
     """
 
     name: str
@@ -85,7 +73,10 @@ class Drift:
     scales: tuple[float, float] = (1.0, 1.0)
 
     def covariance(self) -> Array:
-        """Of a first-order Markov process: sigma^2 exp(-d / length); a jitter keeps it regular."""
+        """(k, k) prior covariance, of first-order Markov processes: sigma^2 exp(-d / length).
+
+        1e-8 of the variance on the diagonal keeps it regular.
+        """
         size = self.knot.size
         sigma = np.broadcast_to(self.sigma, size)
         correlation = exponential(self.knot, self.length) + 1e-8 * np.eye(size)
@@ -107,12 +98,13 @@ HERE = Separation(hours=0.0, metres=0.0)
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """How temperatures of a source at knots (k,) [m'] depart from those of the flight.
+    """Prior of a sounding's temperatures minus the flight's, at knots (k,) [m'].
 
-    Its air is of another time and place. ``expected_k`` (k,) is what the hour of the day makes of
-    it, ``parts`` those of the source's air, ``errors`` (k, k) the covariance of its own errors
-    [K2]; ``apart`` from the flight, and ``beside`` each other source that departs, by its name:
-    what two have in common counts once.
+    They differ because the sounding is of another time and place. ``expected_k`` (k,): mean, by the
+    hour of the day. ``parts``: of the variation of the sounding's air. ``errors`` (k, k):
+    covariance of the sounding's measurement errors [K2]. ``from_flight``, and
+    ``from_other_soundings`` by their names: how far apart the columns of air are, which gives the
+    correlation between departures. ``scales``: as in `Drift`.
     """
 
     name: str
@@ -120,20 +112,24 @@ class Departure:
     expected_k: Array
     parts: Parts
     errors: Array
-    apart: Separation
-    beside: Mapping[str, Separation] = field(default_factory=dict)
+    from_flight: Separation
+    from_other_soundings: Mapping[str, Separation] = field(default_factory=dict)
     scales: tuple[float, float] = (1.0, 1.0)
 
     def covariance(self, background: Climatology) -> Array:
-        """(k, k) covariance of the departure [K2]."""
+        """(k, k) prior covariance of the departure [K2]."""
         k = self.knot.size
         joint = joint_covariance(background, self.knot, (self,))
-        return joint[k:, k:]
+        return joint[k:, k:]  # the first k are the flight's temperatures
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where in the state each quantity stands."""
+    """Where each quantity is in the state.
+
+    ``knot`` (k,), ``humid`` (j,): knots of temperature and of humidity [m']. ``reference``: height
+    of ln p [m'].
+    """
 
     knot: Array
     humid: Array
@@ -143,7 +139,7 @@ class Layout:
 
     @property
     def departures(self) -> tuple[Departure, ...]:
-        """Of the temperatures of each sounding."""
+        """The departures of soundings' temperatures among the drifts."""
         return tuple(drift for drift in self.drifts if isinstance(drift, Departure))
 
     @property
@@ -182,7 +178,7 @@ class Layout:
         return self.first_fault + names.index(name)
 
     def drift(self, name: str) -> tuple[Drift | Departure, slice]:
-        """A drift, and its place in the state."""
+        """The drift of a name, and the slice of its values in the state; KeyError without one."""
         start = self.first_drift
         for drift in self.drifts:
             stop = start + drift.knot.size
@@ -196,64 +192,28 @@ class Layout:
         x = x.copy()
         x[self.humidity] = np.clip(x[self.humidity], 0.0, 1.0)
         x[self.temperature] = np.clip(x[self.temperature], _LOWEST_K, _HIGHEST_K)
-        for place, fault in enumerate(self.faults, self.first_fault):
-            x[place] = min(max(x[place], fault.low), fault.high)
+        for index, fault in enumerate(self.faults, self.first_fault):
+            x[index] = min(max(x[index], fault.low), fault.high)
         return x
-
-
-def place_knots(low: float, high: float, edge: Array) -> Array:
-    """Knots [m'] of temperature: fine from ``low`` to ``high``, widening to the ends of ``edge``.
-
-    ``edge`` are the breakpoints of the background; they stay knots.
-
-    >>> place_knots(0.0, 200.0, np.array([-5000.0, 11e3, 20e3]))[14:20].round().tolist()
-    [-100.0, -50.0, 0.0, 50.0, 100.0, 150.0]
-    """
-    low = max(low - MARGIN_M, edge[0] + MARGIN_M)
-    high = min(high + MARGIN_M, edge[-1] - MARGIN_M)
-    least_step = max(FINEST_M, (high - low) / MOST_FINE)
-    steps = max(1, round((high - low) / least_step))
-    fine = np.linspace(low, high, 1 + steps)
-    step = fine[1] - fine[0]
-
-    thickness = np.minimum(step * WIDENING ** np.arange(1, 100), WIDEST_M)
-    away = np.cumsum(thickness)
-    above = high + away
-    above = above[above < min(TOP_M, edge[-1] - step)]
-    below = low - away
-    below = below[below > edge[0] + step]
-
-    # No sliver of a layer beside a breakpoint of the background.
-    free = np.concatenate([below[::-1], fine, above])
-    nearest = np.min(np.abs(free[:, None] - edge[None, :]), axis=1)
-    is_free = nearest > 0.4 * step
-    return np.unique(np.concatenate([free[is_free], edge]))
-
-
-def place_humid_knots(low: float, high: float) -> Array:
-    """Knots [m'] of relative humidity, at the last of which there is none."""
-    coarse_m = 2.0 * HUMID_M
-    bottom = max(low - coarse_m, HUMID_BOTTOM_M)
-    middle = min(high + coarse_m, HUMID_TOP_M - 3.0 * HUMID_M)
-    fine = np.arange(bottom, max(middle, bottom + HUMID_M), HUMID_M)
-    coarse = np.arange(fine[-1] + coarse_m, HUMID_TOP_M - HUMID_M, coarse_m)
-    return np.concatenate([fine, coarse, [HUMID_TOP_M]])
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """The state before any measurement: (s,) mean, (s, s) precision (inverse of B)."""
+    """The state before any measurement: (s,) mean, (s, s) precision (inverse of the covariance B).
+
+    ``sigma_temperature`` (k,): one sigma of the background's temperature at the knots [K].
+    """
 
     mean: Array
     precision: Array
     sigma_temperature: Array
 
-    def with_drifts(self, layout: Layout, variance: Array) -> "Prior":
-        """The same with drifts (d,) of so many times the variance."""
+    def with_drifts(self, layout: Layout, variance_factor: Array) -> "Prior":
+        """The prior with the variance of each drift multiplied by its factor (d,)."""
         precision = self.precision.copy()
-        for drift, times in zip(layout.drifts, variance, strict=True):
+        for drift, factor in zip(layout.drifts, variance_factor, strict=True):
             _, rows = layout.drift(drift.name)
-            precision[rows, rows] /= times
+            precision[rows, rows] /= factor
         return replace(self, precision=precision)
 
 
@@ -262,11 +222,11 @@ def prior_of(
     background: Climatology,
     moisture: Climatology,
 ) -> Prior:
-    """The background at the knots, and the expected sensor faults.
+    """The prior of a state: mean and precision.
 
-    Two kinds of unknowns share one covariance, that of the structure function (`air_variation`):
-    the flight's temperatures, and for each sounding its temperatures minus the flight's.
-    ``moisture`` gives humidity.
+    Temperature and pressure are those of ``background``, humidity that of ``moisture``; the sensor
+    faults are as the layout expects them. The flight's temperatures and the departures of soundings
+    from them are correlated (`joint_covariance`); everything else is independent.
     """
     profile = background.profile
     mean = np.zeros(layout.size)
@@ -277,9 +237,9 @@ def prior_of(
     for departure in layout.departures:
         _, rows = layout.drift(departure.name)
         mean[rows] = departure.expected_k
-    air = _rows_of_air(layout)
+    rows_of_air = _rows_of_air(layout)
     covariance = joint_covariance(background, layout.knot, layout.departures)
-    precision[np.ix_(air, air)] = np.linalg.inv(covariance)
+    precision[np.ix_(rows_of_air, rows_of_air)] = np.linalg.inv(covariance)
 
     humid_h = profile.gravity.height(layout.humid)
     humidity = np.clip(moisture.relative_humidity(humid_h), 0.0, 1.0)
@@ -291,9 +251,9 @@ def prior_of(
     reference_pa = profile.pressure(profile.gravity.height(layout.reference))
     mean[layout.log_p] = float(np.log(reference_pa))
     precision[layout.log_p, layout.log_p] = _UNKNOWN_LOG_P**-2
-    for place, fault in enumerate(layout.faults, layout.first_fault):
-        mean[place] = fault.mean
-        precision[place, place] = fault.sigma**-2
+    for index, fault in enumerate(layout.faults, layout.first_fault):
+        mean[index] = fault.mean
+        precision[index, index] = fault.sigma**-2
     for drift in layout.drifts:
         if isinstance(drift, Drift):
             _, rows = layout.drift(drift.name)
@@ -302,7 +262,7 @@ def prior_of(
 
 
 def _rows_of_air(layout: Layout) -> Rows:
-    """Where the flight's temperatures, and the departures of soundings from them, stand."""
+    """Indices in the state: the flight's temperatures, then the departures of each sounding."""
     rows_of_air = [np.arange(layout.knot.size)]
     for departure in layout.departures:
         _, rows = layout.drift(departure.name)
@@ -315,7 +275,10 @@ def _humidity_covariance(
     humid_h: Array,
     moisture: Climatology,
 ) -> Array:
-    """(j, j) covariance of relative humidity at its knots [m'], at heights [m]; the last is dry."""
+    """(j, j) prior covariance of relative humidity at its knots, the last of them dry.
+
+    ``humid`` (j,): the knots [m']; ``humid_h`` (j,): their heights above sea level [m].
+    """
     sigma_rh = moisture.spread.sigma_relative_humidity(humid_h)
     sigma_rh = np.append(sigma_rh[:-1], _DRY_RH)
     correlation = exponential(humid, moisture.spread.humidity_correlation_m)
@@ -327,12 +290,12 @@ def joint_covariance(
     knot: Array,
     departures: Sequence[Departure],
 ) -> Array:
-    """Prior covariance [K2] of the flight's temperatures, and of departures from them.
+    """Prior covariance [K2] of the flight's temperatures and of soundings' departures from them.
 
-    Those at knots (k,) [m'], then the departures of soundings, each at its own knots. A departure
-    is the air of a sounding minus that of the flight, so that of two of them with the air a and b,
-    and the flight's 0, it is cov(a, b) - cov(a, 0) - cov(0, b) + cov(0, 0), with the correlation of
-    each part over the time and distance between.
+    In this order: the temperatures at ``knot`` (k,) [m'], then each departure at its own knots. A
+    departure is the air of a sounding minus that of the flight. So the covariance of the departures
+    of two soundings a and b from the flight 0 is cov(a, b) - cov(a, 0) - cov(0, b) + cov(0, 0),
+    where each part of the air's variation correlates by the time and distance between the columns.
     """
     gravity = background.profile.gravity
     flight = background.spread.parts
@@ -348,7 +311,10 @@ def joint_covariance(
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """Heights [m] of a column of air with its parts; the ``departure`` of one not the flight's."""
+    """A column of air: heights (n,) [m above sea level] and the parts of the air's variation.
+
+    ``departure`` is None for the column of the flight itself, else that of the column's sounding.
+    """
 
     h: Array
     parts: Parts
@@ -356,39 +322,40 @@ class _Column:
 
     @property
     def from_flight(self) -> Separation:
-        """Its separation from the flight's own column."""
-        return HERE if self.departure is None else self.departure.apart
+        """Separation of the column from that of the flight."""
+        return HERE if self.departure is None else self.departure.from_flight
 
-    def apart(self, other: "_Column") -> Separation:
-        """Its separation from another column."""
+    def separation_from(self, other: "_Column") -> Separation:
+        """Separation of the column from another column."""
         if self.departure is other.departure:
             return HERE
         if self.departure is None:
             return other.from_flight
         if other.departure is None:
             return self.from_flight
-        return self.departure.beside[other.departure.name]
+        return self.departure.from_other_soundings[other.departure.name]
 
     def is_departure(self) -> bool:
-        """Whether it stands for how the air departs from the flight's."""
+        """Whether the state has the column's departure from the flight, not its temperatures."""
         return self.departure is not None
 
 
 def _covariance_of_columns(a: _Column, b: _Column, flight: Parts) -> Array:
-    """(n, m) covariance [K2] of what two columns stand for in the state.
+    """(n, m) prior covariance [K2] between two columns of the state, by `joint_covariance`.
 
-    That is the flight's air, or the departure of another air from it.
+    The state has the temperatures of the flight's column, and the departures from these in the
+    column of a sounding. ``flight``: parts of the variation of the flight's air.
     """
     total = np.zeros((a.h.size, b.h.size))
     for part_a, part_b, part in zip(a.parts, b.parts, flight, strict=True):
         a_with_b = part_a.covariance(a.h, b.h, part_b)
-        total += a_with_b * _alike(part, a.apart(b))
+        total += a_with_b * _correlation_between(part, a.separation_from(b))
         if b.is_departure():
             a_with_flight = part_a.covariance(a.h, b.h, part)
-            total -= a_with_flight * _alike(part, a.from_flight)
+            total -= a_with_flight * _correlation_between(part, a.from_flight)
         if a.is_departure():
             flight_with_b = part.covariance(a.h, b.h, part_b)
-            total -= flight_with_b * _alike(part, b.from_flight)
+            total -= flight_with_b * _correlation_between(part, b.from_flight)
         if a.is_departure() and b.is_departure():
             total += part.covariance(a.h, b.h)
     if a.departure is not None and a.departure is b.departure:
@@ -396,18 +363,19 @@ def _covariance_of_columns(a: _Column, b: _Column, flight: Parts) -> Array:
     return total
 
 
-def _alike(part: Part, apart: Separation) -> Array:
-    """Correlation of a part between two columns of air."""
-    return part.alike(apart.hours, apart.metres)
+def _correlation_between(part: Part, separation: Separation) -> Array:
+    """Correlation of a part between two columns of air of this separation."""
+    return part.correlation_over(separation.hours, separation.metres)
 
 
 @dataclass(frozen=True, eq=False)
 class AirAtKnots:
-    """The air of a state, and its derivatives by the state.
+    """The air of a state ``x`` (s,) at the knots of temperature (k,), and its derivatives.
 
-    Arrays at the knots: ``temperature`` T, ``virtual`` T_M, ``vapour`` e/p; derivatives by T at
-    the same knot and by the relative humidity there; ``spreading`` (k, j) relative humidity of
-    the knots from that of the humid knots.
+    ``constant``: G M0/R* [K/m']. ``temperature`` T [K], ``virtual`` T_M [K], ``vapour`` e/p.
+    ``virtual_by_t`` ... ``vapour_by_rh``: derivatives of T_M and e/p by T and by the relative
+    humidity of the same knot. ``spreading`` (k, j): weights of the humidities in the state in the
+    humidity of each knot.
     """
 
     layout: Layout
@@ -426,7 +394,7 @@ class AirAtKnots:
         """Pressure [Pa] at the knots (k,) by Eq. 52-53."""
         layout = self.layout
         heights = np.concatenate([[layout.reference], layout.knot])
-        integral, _ = column(layout.knot, self.virtual, heights)
+        integral, _ = inverse_temperature_integral(layout.knot, self.virtual, heights)
         fall = self.constant * (integral[1:] - integral[0])
         reference_log_p = self.x[layout.log_p]
         return np.asarray(np.exp(reference_log_p - fall))
@@ -435,7 +403,7 @@ class AirAtKnots:
         """ln p at heights (m,) [m'] by Eq. 52-53, and its (m, s) derivatives by the state."""
         layout = self.layout
         heights = np.concatenate([[layout.reference], height])
-        integral, gradient = column(layout.knot, self.virtual, heights)
+        integral, gradient = inverse_temperature_integral(layout.knot, self.virtual, heights)
         fall = self.constant * (integral[1:] - integral[0])
         by_virtual = -self.constant * (gradient[1:] - gradient[0])
         jacobian = np.zeros((height.size, layout.size))
@@ -452,21 +420,22 @@ def air_of(
     pressure: Array,
     constant: float,
 ) -> AirAtKnots:
-    """The air of a state; ``pressure`` (k,) at the knots only turns humidity into e/p.
+    """The air of a state ``x`` (s,), with derivatives; ``constant`` is G M0/R* [K/m'].
 
-    T_M = T/(1 - 0.378 v), v = e/p = RH f(T, p) e_s(T)/p. The derivatives hold p: it changes v by
-    1 % where temperature changes v by 7 % a kelvin, and the next iteration sees the new p.
+    T_M = T/(1 - 0.378 v), v = e/p = RH f(T, p) e_s(T)/p. ``pressure`` (k,) at the knots [Pa] is
+    that of the previous iteration and only turns RH into v. The derivatives take it as constant:
+    it changes v by 1 % where temperature changes v by 7 % a kelvin.
     """
     t = x[layout.temperature]
-    spreading = hats(layout.humid, layout.knot)
+    spreading = interpolation_weights(layout.humid, layout.knot)
     spreading[layout.knot >= layout.humid[-1]] = 0.0
     rh = np.clip(spreading @ x[layout.humidity], 0.0, 1.0)
-    saturated = enhancement_factor(t, pressure) * saturation_vapour_pressure(t) / pressure
+    saturated_vapour = enhancement_factor(t, pressure) * saturation_vapour_pressure(t) / pressure
     # d ln e_s / dT of the formula of Davis (Ciddor 1996, appendix A).
-    relative = 2.0 * 1.2378847e-5 * t - 1.9121316e-2 + 6.3431645e3 / t**2
-    vapour = rh * saturated
+    log_saturation_by_t = 2.0 * 1.2378847e-5 * t - 1.9121316e-2 + 6.3431645e3 / t**2
+    vapour = rh * saturated_vapour
     dryness = 1.0 - VAPOUR_DEFICIT * vapour
-    steep = t * VAPOUR_DEFICIT / dryness**2
+    virtual_by_vapour = t * VAPOUR_DEFICIT / dryness**2
     return AirAtKnots(
         layout=layout,
         x=x,
@@ -474,15 +443,15 @@ def air_of(
         temperature=t,
         virtual=t / dryness,
         vapour=vapour,
-        virtual_by_t=1.0 / dryness + steep * vapour * relative,
-        virtual_by_rh=steep * saturated,
-        vapour_by_t=vapour * relative,
-        vapour_by_rh=saturated,
+        virtual_by_t=1.0 / dryness + virtual_by_vapour * vapour * log_saturation_by_t,
+        virtual_by_rh=virtual_by_vapour * saturated_vapour,
+        vapour_by_t=vapour * log_saturation_by_t,
+        vapour_by_rh=saturated_vapour,
         spreading=spreading,
     )
 
 
 def exponential(x: Array, length: float) -> Array:
-    """(n, n) correlation exp(-|dx| / length)."""
+    """(n, n) correlation exp(-|dx| / length) between points ``x`` (n,) in the unit of length."""
     distance = np.abs(x[:, None] - x[None, :])
     return np.asarray(np.exp(-distance / length))

@@ -1,4 +1,4 @@
-"""Thermometer checks: a thermometer must read what the estimate without it predicts."""
+"""Checks whether a thermometer is in the air outside, against the barometer of the flight."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,24 +22,28 @@ from unbend.atmosphere.rejection import Reason
 from unbend.units import Array
 
 MISFIT_K = 1.5
-"""Readings of a thermometer disagree with the others where their inflated sigma is larger than this
-too: the sun on its probe comes to 0.9 K."""
+"""Largest inflated sigma of a thermometer outside [K]: with the sun on its probe it is 0.9 K."""
 
-# A thermometer against what the barometer implies: more is a wrong sensor.
+# Largest departures of a thermometer from what the barometer implies; the limit is the root of the
+# sum of squares of one of these and of `COMPARED_SIGMAS` sigmas of the comparison.
 LARGEST_BIAS_K = 8.0  # in the mean
 LARGEST_CHANGE_K = 3.5  # in its change from the lower to the upper half
-COMPARED_SIGMAS = 3.5  # of the comparison, beside these
+COMPARED_SIGMAS = 3.5
 
 CERTAIN_CHANCE = 0.99  # of being in a bay or indoors, above which a thermometer is not used
 
 LARGE_DRIFT = 1.25
-"""A drift that the residuals make so many times as large as expected may hide a wrong sensor."""
+"""A drift with a sigma so many times as large as expected may hide a wrong sensor."""
 
 TOGETHER_S = 1800.0
-"""Within so long the air hardly changes; over hours the readings of a good thermometer disagree."""
+"""First part of a flight in which thermometer and barometer are compared [s]: in it the air hardly
+changes. Over hours the readings of a good thermometer disagree."""
 
-SHOWN_SHARE = 0.005  # known so well it is known by the height; 3 K of bias leave 0.01
-LAYER_M = 100.0  # each weighs the same where a thermometer is compared [m']
+SHOWN_SHARE = 0.005
+"""Largest sigma of a lost share of pressure that heights have determined. A thermometer with a bias
+of 3 K alone determines it to 0.01."""
+
+LAYER_M = 100.0  # layers of this thickness have the same weight in a comparison [m']
 
 
 def thermometer_is_outside(
@@ -49,14 +53,19 @@ def thermometer_is_outside(
     moisture: Climatology | None,
     settings: SensorSettings,
 ) -> Check:
-    """Whether the thermometer of a flight with a barometer (``made``: with both) can be outside.
+    """Whether the thermometer of a flight can be in the air outside.
 
-    Not passed where it is surely in a bay. Nor where its readings, in the mean or in their change
-    with height, are not those that the estimate without them predicts, though the barometer fits an
-    air and is not seen to lose pressure; where within half an hour no air that the barometer allows
-    has them; or where the barometer differs from any air that the thermometer allows, and fits
-    plausible air of its own. All without soundings and stations; the last two with drifts of the
-    expected size, since a large one could hide any contradiction.
+    ``made``: the estimate from all sensors. Not passed in any of these cases:
+
+    1. The thermometer is in a bay with a probability of 99 %.
+    2. Its readings, in the mean or in their change with height, are not those that an estimate
+       without them predicts, although the barometer fits this estimate and does not lose pressure.
+    3. In the first half an hour no air fits both thermometer and barometer.
+    4. The barometer fits no air together with the thermometer, but plausible air without it.
+
+    Passed without a thermometer or barometer, or with one on a circuit board. Cases 2 to 4 are
+    tested without soundings and stations, 3 and 4 with drifts of the expected size, because a large
+    drift could hide any contradiction.
     """
     temperature = samples.temperature
     pressure = samples.pressure
@@ -104,9 +113,10 @@ def _predicted_without_thermometer(
     moisture: Climatology | None,
     settings: SensorSettings,
 ) -> Check:
-    """Whether temperatures are those that the estimate without them predicts.
+    """Whether temperatures of a flight are those that an estimate from its other sensors predicts.
 
-    Passed too where its barometer fits no air, or is seen to lose pressure (``made``: with both).
+    Passed too where the barometer does not fit that estimate, or loses pressure by ``made``, the
+    estimate from all sensors.
     """
     flown = collect_readings(samples, background, settings)
     layout = layout_of(flown, background)
@@ -124,7 +134,7 @@ def _predicted_without_thermometer(
 
 
 def _until(samples: AirSamples, until_ns: int) -> AirSamples:
-    """The samples of a flight until a time [Unix ns]."""
+    """The samples of a flight with all readings after ``until_ns`` [Unix ns] rejected."""
     early: dict[str, Any] = {}
     for quantity, sensor in samples.sensors.items():
         early[quantity] = sensor.reject(sensor.time_ns > until_ns, Reason.LEFT_OUT)
@@ -132,10 +142,11 @@ def _until(samples: AirSamples, until_ns: int) -> AirSamples:
 
 
 def barometer_loses_pressure(made: Estimate) -> bool:
-    """Whether thermometer and barometer together show a static pressure that loses its change.
+    """Whether thermometer and barometer together show that the static pressure loses its change.
 
-    The air that it implies is too warm, at 6 km twice as much as at the ground. A thermometer's
-    bias does not grow so, and beside one indoors or in the sun the implied air is too cold.
+    The air that such a pressure implies is too warm, at 6 km twice as much as at the ground. The
+    bias of a thermometer does not grow so; and where a thermometer is too warm, indoors or in the
+    sun, the air that the pressure implies is colder than it reads.
     """
     barometer_fits = _sigma_inflation(made, Barometer) <= MISFIT
     thermometer_fits = _sigma_inflation(made, Thermometer) <= MISFIT
@@ -148,7 +159,11 @@ def barometer_loses_pressure(made: Estimate) -> bool:
 
 
 class _Comparison(NamedTuple):
-    """A mean of readings by ``weights`` (m,), by how much it may differ, and the words for it."""
+    """A weighted sum of the readings of a thermometer, which is compared with its prediction.
+
+    ``weights`` (m,): of the readings. ``largest_k``: by how much it may differ. ``reads``: words
+    for a message.
+    """
 
     weights: Array
     largest_k: float
@@ -156,15 +171,16 @@ class _Comparison(NamedTuple):
 
 
 def is_predicted(thermometer: Thermometer, without: Solution) -> Check:
-    """Whether temperatures are those that an estimate without them predicts.
+    """Whether readings of a thermometer are those that an estimate ``without`` them predicts.
 
-    In the mean over their heights and in the change from the lower to the upper half of these,
-    within the sigma of the prediction and of all faults of a thermometer. Pressure implies virtual
-    temperatures: in air as dry as a desert's, temperatures as high as these.
+    Their mean over height, and their change from the lower to the upper half of the heights, are
+    compared; limits include the sigma of the prediction and of all faults of a thermometer.
+    Pressure implies virtual temperatures, and humidity is hardly known. So the limits also include
+    the effect of the expected humidity: in dry air temperatures equal the virtual ones.
     """
     air = without.air
     layout = air.layout
-    moist = np.interp(thermometer.height, layout.knot, air.virtual - air.temperature)
+    moist = np.interp(thermometer.height, layout.knot, air.virtual - air.temperature)  # [K]
     predicted, jacobian = thermometer.predict(air)
     for weights, largest_k, reads in _comparisons(thermometer.height):
         by_state = weights @ jacobian
@@ -183,7 +199,11 @@ def is_predicted(thermometer: Thermometer, without: Solution) -> Check:
 
 
 def _comparisons(height: Array) -> list[_Comparison]:
-    """The mean over heights (m,) [m'] and the change between their halves; layers weigh alike."""
+    """The comparisons of readings at heights (m,) [m']: their mean, and the change with height.
+
+    Layers of 100 m' have the same weight. The change is from the lower to the upper half of the
+    heights; it is left out if one half has no readings.
+    """
     layer = np.floor((height - height.min()) / LAYER_M).astype(np.int64)
     weight = 1.0 / np.bincount(layer)[layer]
     comparisons = [_Comparison(weight / weight.sum(), LARGEST_BIAS_K, "reads")]
@@ -198,7 +218,7 @@ def _comparisons(height: Array) -> list[_Comparison]:
 
 
 def _inflated_sigma_k(made: Estimate) -> float:
-    """Sigma [K] of a thermometer's readings with the inflation factor, 0 where that is small."""
+    """Inflated sigma of a thermometer's readings [K]; 0 if the inflation factor is at most 5."""
     inflation = _sigma_inflation(made, Thermometer)
     if inflation <= MISFIT:
         return 0.0
@@ -210,12 +230,15 @@ def _inflated_sigma_k(made: Estimate) -> float:
 
 
 def _sigma_inflation(made: Estimate, kind: type) -> float:
-    """The largest sigma inflation factor of a kind of readings."""
+    """The largest sigma inflation factor of a kind of readings in an estimate; 1 without any."""
     return _largest_inflation(made.readings.sets, made.fits, kind)
 
 
 def _largest_inflation(sets: Sequence[Readings], fits: Sequence[Fit], kind: type) -> float:
-    """The largest sigma inflation factor of a kind among readings and their fits."""
+    """The largest sigma inflation factor of a kind among sets of readings; 1 without any.
+
+    ``fits``: of the ``sets``, in their order. ``kind``: a class of `Readings`.
+    """
     largest = 1.0
     for readings, fit in zip(sets, fits, strict=True):
         if isinstance(readings, kind):

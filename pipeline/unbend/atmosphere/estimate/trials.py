@@ -1,4 +1,4 @@
-"""Estimates in turn: the first of several candidates that passes the checks of estimates."""
+"""Estimates from several candidates in turn, until one passes its checks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,11 @@ from unbend.messages import Message
 
 @dataclass(frozen=True, eq=False)
 class ExpectedAir:
-    """What the estimates of a flight begin with: when and where it was, and the air there."""
+    """What all estimates of a flight have in common: its time and place, and the expected air.
+
+    ``standard``: the standard atmosphere that is shown for comparison. ``background``: the
+    climatology that is adjusted. ``moisture``: gives the expected humidity.
+    """
 
     flight: TimeAndPlace
     standard: Profile
@@ -46,9 +50,11 @@ class Passed(NamedTuple):
 
 @dataclass(eq=False)
 class Trials:
-    """The samples of the estimates that were ``tried``, why they failed, and the one that passed.
+    """The estimates that were tried; the functions of this module add to it.
 
-    ``refused`` are the sensors that are not used, by their quantity, and why.
+    ``tried``: the samples of each. ``faults``: why each did not pass. ``refused``: why a sensor is
+    not used, by its quantity. ``notes``: messages for the ledger. ``passed``: the estimate that
+    passed, None if there is none.
     """
 
     tried: list[AirSamples] = field(default_factory=list)
@@ -63,7 +69,10 @@ def first_that_passes(
     expected: ExpectedAir,
     settings: SensorSettings,
 ) -> Trials:
-    """The first estimate that passes its checks, and those before it."""
+    """Try candidates in their order until the estimate of one passes its checks.
+
+    A failed check may remove or change later candidates, for example leave out a thermometer.
+    """
     trials = Trials()
     remaining = list(choices)
     while remaining and trials.passed is None:
@@ -79,7 +88,11 @@ def _try(
     expected: ExpectedAir,
     settings: SensorSettings,
 ) -> list[Candidate]:
-    """Check the estimate of a candidate; what remains to be tried if it does not pass."""
+    """Make and check the estimate of a candidate, note the result in ``trials``.
+
+    Returns the candidates that remain to be tried if it did not pass: without a thermometer or
+    hygrometer that was found not to be outside, without a barometer that has no information alone.
+    """
     trials.tried.append(candidate.samples)
     made = expected.estimate_of(candidate, settings)
     outside = thermometer_checks.thermometer_is_outside(
@@ -109,14 +122,14 @@ def _try(
 
 
 def _refuse_thermometer(trials: Trials, name: str, reason: str) -> None:
-    """Note that a thermometer is not used."""
+    """Note in ``trials`` that a thermometer is not used."""
     trials.refused["temperature"] = reason
     trials.notes.append(messages.thermometer_not_used(name=name, reason=reason))
     trials.faults.append(reason)
 
 
 def _refuse_hygrometer(trials: Trials, samples: AirSamples, reason: str) -> None:
-    """Note that a hygrometer is not used."""
+    """Note in ``trials`` that a hygrometer is not used."""
     trials.refused["humidity"] = reason
     name = "" if samples.humidity is None else samples.humidity.name
     trials.notes.append(messages.hygrometer_not_used(name=name, reason=reason))
@@ -129,7 +142,7 @@ def _without_hygrometer(candidate: Candidate) -> Candidate:
 
 
 def _is_credible(made: Estimate, expected: ExpectedAir) -> estimate_checks.Check:
-    """Whether an estimate can be air, and predicts readings better than the background does."""
+    """Whether an estimate is plausible air, and predicts readings better than the background."""
     plausible = estimate_checks.is_plausible(made, expected.background)
     if not plausible:
         return plausible
@@ -145,14 +158,14 @@ def _has_information(
     made: Estimate,
     expected: ExpectedAir,
 ) -> estimate_checks.Check:
-    """Whether an estimate that rests on a barometer alone knows more than without it."""
+    """Whether a barometer without thermometer makes the air more certain; else passed."""
     if candidate.basis != "barometer":
         return estimate_checks.PASSED
     return estimate_checks.has_information(made, expected.background, expected.moisture)
 
 
 def _refuse_estimate(trials: Trials, candidate: Candidate, reason: str) -> None:
-    """Note that an estimate cannot be air, or is worse than the background."""
+    """Note in ``trials`` that an estimate is not plausible, or is worse than the background."""
     implausible = messages.air_implausible(
         sources=candidate.reason,
         reason=reason,

@@ -1,4 +1,7 @@
-"""How old, and how far away, the air is that a flight sampled, and what it has changed by since."""
+"""The age and distance of the air that a flight sampled, and how much it changes by them.
+
+The age is the time between an exposure and the samples of the air, whichever was first.
+"""
 
 from __future__ import annotations
 
@@ -27,21 +30,21 @@ from unbend.atmosphere.refractive_index import saturation_vapour_pressure
 from unbend.messages import Message
 from unbend.units import Array, Integers
 
-CHANGE_LOG_P_PER_H = 5e-4
-CHANGE_LOG_P_PER_M = 1.5e-8
+CHANGE_LOG_P_PER_H = 5e-4  # one sigma; 0.5 hPa an hour
+CHANGE_LOG_P_PER_M = 1.5e-8  # one sigma; a wind of 12 m/s
 
-CHANGE_RH = 0.1  # of relative humidity, reached after four hours
+CHANGE_RH = 0.1  # one sigma of the change of relative humidity, reached after four hours
 CHANGE_RH_IN_H = 4.0
 CHANGE_RH_LENGTH_M = 1500.0  # correlation of that in height [m]
 
 METRES_AS_AN_HOUR = 36e3
-"""Weather changes as much over so much distance as in an hour (`data/air_variation.toml`: 48 h and
-1300 to 2300 km); of two visits to a height the nearer counts."""
+"""Distance over which weather changes as much as in an hour (`data/air_variation.toml`: 48 h and
+1300 to 2300 km)."""
 
 FRESH_S = 1800.0
 FRESH_M = FRESH_S / 3600.0 * METRES_AS_AN_HOUR
-"""Air sampled within half an hour, and within as much in distance (18 km), counts as that of the
-exposure: at the ground it changes by some 0.6 K in that time."""
+"""Air sampled within half an hour and 18 km counts as that of the exposure: at the ground it
+changes by some 0.6 K in that time."""
 
 _BIN_M = 100.0
 _MINUTE_NS = 60 * 10**9
@@ -51,7 +54,7 @@ _MIDDLE_LATITUDE_RAD = 0.8  # of a profile without a place
 
 @dataclass(frozen=True, eq=False)
 class FlightPath:
-    """Where a flight was (k,), longitudes going on across the 180th meridian."""
+    """Times and places (k,) of a flight; longitudes go on across the 180th meridian."""
 
     time_ns: Integers
     latitude_rad: Array
@@ -77,11 +80,10 @@ class FlightPath:
 
 @dataclass(frozen=True, eq=False)
 class SampleAges:
-    """How old, and how far away, the air of heights (n,) [m] is that was sampled.
+    """Age and distance of the samples of the air at heights (n,) [m above sea level], increasing.
 
-    ``hours`` (n,) that it has changed for since, or until, it was sampled: sqrt(t^2 - (1/2 h)^2),
-    nothing within half an hour, and nearly t in the end. ``metres`` (n,) likewise to where it was,
-    nothing within 18 km.
+    ``hours`` (n,): sqrt(t^2 - (1/2 h)^2) for samples a time t before or after the exposure, 0
+    within half an hour. ``metres`` (n,) or one: likewise of the distance, 0 within 18 km.
     """
 
     h_m: Array
@@ -90,20 +92,23 @@ class SampleAges:
 
     @property
     def is_fresh(self) -> bool:
-        """Whether all of it was sampled within half an hour and 18 km."""
+        """Whether the air of all heights was sampled within half an hour and 18 km."""
         is_old = np.any(self.hours > 0.0)
         is_far = np.any(np.asarray(self.metres) > 0.0)
         return not bool(is_old or is_far)
 
 
 class Visits(NamedTuple):
-    """Bins of height (n,) in which a sensor was read, and the minutes (n,) of Unix time."""
+    """Bins of 100 m in which a sensor was read (n,), and in which minutes of Unix time (n,).
+
+    Bin number i is from 100 i to 100 (i + 1) m above sea level.
+    """
 
     bin_number: Integers
     minute: Integers
 
     def between(self, h_g: float, h_c: float) -> Visits:
-        """Those between two heights [m]; all where there are none."""
+        """The visits to bins between ground and camera [m]; all visits if there are none."""
         is_above_ground = self.bin_number + 1 >= h_g / _BIN_M
         is_below_camera = self.bin_number <= h_c / _BIN_M
         inside = is_above_ground & is_below_camera
@@ -133,10 +138,11 @@ def sample_ages(
     h_c: float,
     path: FlightPath | None = None,
 ) -> list[SampleAges]:
-    """How old the air between two heights [m above sea level] is at times [Unix ns].
+    """Age and distance of the sampled air from ground to camera, at each of some times [Unix ns].
 
-    By the nearest readings of thermometer or barometer before or after, in bins of 100 m; and how
-    far away it was sampled from where the flight was then, by its ``path``.
+    ``h_g``, ``h_c``: heights of ground and camera [m above sea level]. The nearest reading of
+    thermometer or barometer counts, before or after the time, in bins of 100 m. ``path`` gives the
+    distances; without it they are 0. Without any reading all air counts as fresh.
     """
     visits = visits_of(samples)
     if visits.minute.size == 0:
@@ -150,13 +156,16 @@ def ages_at(
     visits: Visits,
     path: FlightPath | None,
 ) -> SampleAges:
-    """How old and how far away the air of each bin is at a time [Unix ns], by its nearest visit."""
+    """Age and distance of the air of each visited bin at a time [Unix ns], by its nearest visit.
+
+    Nearest in time and distance together (`METRES_AS_AN_HOUR`).
+    """
     hours = np.abs(visits.minute - now_ns // _MINUTE_NS) / 60.0
     metres = np.zeros(hours.size)
     if path is not None:
         metres = path.metres_between(visits.minute * _MINUTE_NS, now_ns)
     apart = hours + metres / METRES_AS_AN_HOUR
-    nearest_first = np.lexsort([apart, visits.bin_number])
+    nearest_first = np.lexsort([apart, visits.bin_number])  # by bin, then by nearness
     bins, first = np.unique(visits.bin_number[nearest_first], return_index=True)
     nearest = nearest_first[first]
     return SampleAges(
@@ -167,7 +176,7 @@ def ages_at(
 
 
 def beyond(values: Array, fresh: float) -> Array:
-    """sqrt(v^2 - fresh^2) of values (n,), 0 of those that are smaller.
+    """sqrt(v^2 - fresh^2) of values v (n,); 0 for values below ``fresh``.
 
     >>> beyond(np.array([0.3, 0.5, 1.3]), 0.5).round(6).tolist()
     [0.0, 0.0, 1.2]
@@ -177,7 +186,7 @@ def beyond(values: Array, fresh: float) -> Array:
 
 
 def aged_note(ages: Sequence[SampleAges], *, count: int) -> Message:
-    """That the air of so many exposures is old or from far away, and how much at the most."""
+    """Message that the air of ``count`` exposures is old or from far away, with the extremes."""
     oldest = max(ages, key=lambda age: float(age.hours.max()))
     farthest_m = max(float(np.max(age.metres)) for age in ages)
     farthest_km = 0.0
@@ -198,10 +207,11 @@ def change_parts(
     metres: ArrayLike,
     h_m: Array,
 ) -> Parts:
-    """How temperatures over a ground [m] change in hours and metres (n,) for heights (n,) [m].
+    """The parts of the change of temperature over some hours and metres, as standard deviations.
 
-    To the structure function comes the mean cycle of the day, over hours whose place in the day is
-    not known.
+    ``hours``, ``metres``: one, or (n,) at heights ``h_m`` (n,) [m above sea level], increasing.
+    ``ground_h_m``: of the ground [m above sea level]. The change is that of the structure function
+    and of the day's cycle, where the hour of the day is unknown.
     """
     latitude = _MIDDLE_LATITUDE_RAD if latitude_rad is None else latitude_rad
     parts = variation_parts(latitude, SPRING, ground_h_m)
@@ -218,10 +228,10 @@ def change_parts(
 
 
 def covariance_with_ageing(covariance: ProfileCovariance, ages: SampleAges) -> ProfileCovariance:
-    """A covariance with what the air changes in its age, and over its distance, added.
+    """A covariance, to which the change of the air by its age and distance is added.
 
-    Temperatures change by `change_parts` and carry pressure with them from the height that was
-    sampled last, where ln p itself changes too; so does relative humidity.
+    Temperatures change by `change_parts`, and pressures with them by hydrostatics, starting at the
+    height that was sampled last; ln p at this height changes too, and so does relative humidity.
     """
     profile = covariance.profile
     edge = profile.layers.edge
@@ -253,7 +263,7 @@ def covariance_with_ageing(covariance: ProfileCovariance, ages: SampleAges) -> P
 
 
 def _change_of_log_pressure(ages: SampleAges) -> float:
-    """One sigma of ln p at the height that was sampled last."""
+    """One sigma of the change of ln p at the height that was sampled last."""
     metres = np.broadcast_to(ages.metres, ages.h_m.shape)
     by_time = CHANGE_LOG_P_PER_H * ages.hours.min()
     by_distance = CHANGE_LOG_P_PER_M * metres.min()
@@ -261,7 +271,11 @@ def _change_of_log_pressure(ages: SampleAges) -> float:
 
 
 def change_of_vapour(profile: Profile, ages: SampleAges) -> Array:
-    """One sigma (k,) of what e/p at the edges of a profile has changed by in its age."""
+    """(k,) one sigma of the change of e/p at the edges of a profile, by age and distance.
+
+    It is a change of relative humidity, at most as large as in air with the largest e/p of the
+    profile.
+    """
     h = profile.gravity.height(profile.layers.edge)
     metres = np.broadcast_to(ages.metres, ages.h_m.shape)
     as_hours = ages.hours + metres / METRES_AS_AN_HOUR

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from unbend.atmosphere.air_samples import AirSamples
 from unbend.atmosphere.covariance import ProfileCovariance, plane_rule
-from unbend.atmosphere.hypsometry import hats
+from unbend.atmosphere.hypsometry import interpolation_weights
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
@@ -27,17 +27,17 @@ from unbend.messages import Notes
 from unbend.units import Array, Integers
 
 FINEST_CHANGE = 5e-4
-"""Profiles follow each other so closely that R changes by less than this from one to the next."""
+"""Profiles follow each other so closely that ln R changes by less than this between neighbours."""
 
 SLOT_NS = 900 * 10**9  # exposures within a quarter of an hour share the age of their air [ns]
-CELL_M = 20e3  # exposures of so large a square share the distance of their air [m]
+CELL_M = 20e3  # exposures of a square of this side share the distance of their air [m]
 
 _STEPS = 100  # trapezia of the plane integral
 _SLIVER_M = 1.0  # edges of two profiles nearer than this become one [m']
 
 
 class PlaceInTime(NamedTuple):
-    """Where and when air was met: geographic place [rad] and time [Unix ns]."""
+    """Where and when air was sampled: geographic place [rad] and time [Unix ns]."""
 
     latitude_rad: float
     longitude_rad: float
@@ -48,9 +48,10 @@ class PlaceInTime(NamedTuple):
 class TimedProfile:
     """The air at a time [Unix ns], with its covariance where there is one.
 
-    Between ``neighbours`` (the earlier and the later profile and the share of the later) it is
-    computed when needed: hundreds of them would fill memory. ``ages`` are those of its samples,
-    where these are old; ``sampled_at`` is where they were taken.
+    ``own_covariance``: of an estimate. ``neighbours``: of air that is interpolated, the earlier and
+    the later profile and the share of the later; its covariance is computed when needed, because
+    hundreds of them would fill memory. ``ages``: of the samples, None where these are fresh.
+    ``sampled_at``: where they were taken.
     """
 
     time_ns: int | None
@@ -70,9 +71,9 @@ class TimedProfile:
 
     @property
     def covariance(self) -> ProfileCovariance | None:
-        """That of the estimate, and the change of the air since it was sampled.
+        """Covariance of the estimate, and of the change of the air between sample and exposure.
 
-        Between two profiles (1 - share) C_a + share C_b, the most that it can be.
+        Of air between two profiles (1 - share) C_a + share C_b, an upper bound. None if unknown.
         """
         covariance = self.own_covariance
         if self.neighbours is not None:
@@ -87,7 +88,7 @@ class TimedProfile:
         later: TimedProfile,
         share: float,
     ) -> ProfileCovariance | None:
-        """The mean of the covariances of two profiles, the share of the later; None without."""
+        """The mean of two profiles' covariances by the share of the later; None if one has none."""
         if earlier.own_covariance is None or later.own_covariance is None:
             return None
         edge = self.profile.layers.edge
@@ -97,9 +98,10 @@ class TimedProfile:
         return ProfileCovariance(self.profile, anchor, matrix)
 
     def change_from(self, other: TimedProfile, h_c: Sequence[float], h_g: float) -> float:
-        """ln R of this air over that of another in the plane, the largest of several cameras.
+        """ln of the refraction R in this air over that in another air, by the plane formula.
 
-        Cameras at ``h_c`` over the ground at ``h_g`` [m above sea level].
+        Of cameras at ``h_c`` over the ground at ``h_g`` [m above sea level] the one that is largest
+        in absolute value.
         """
         changes = []
         for camera_m in h_c:
@@ -112,7 +114,7 @@ class TimedProfile:
 
 @dataclass(frozen=True, eq=False)
 class ProfileSeries:
-    """Profiles in the order of time, and which of them belongs to each of (s,) exposures.
+    """Profiles, and the number of the profile of each exposure (s,).
 
     Functions of height are those of a `Profile`, for (s,) heights, one of each exposure.
     """
@@ -127,7 +129,7 @@ class ProfileSeries:
 
     @property
     def index(self) -> IndexModel:
-        """The formula of the refractive index, the same in all."""
+        """The formula of the refractive index, which all profiles share."""
         return self.timed_profiles[0].profile.index
 
     def pressure(self, h: Array) -> Array:
@@ -135,15 +137,15 @@ class ProfileSeries:
         return self._each(h, Profile.pressure)
 
     def temperature(self, h: Array) -> Array:
-        """(s,) temperature [K]."""
+        """(s,) temperature [K] at the heights of the exposures [m above sea level]."""
         return self._each(h, Profile.temperature)
 
     def vapour_pressure(self, h: Array) -> Array:
-        """(s,) partial pressure of water [Pa]."""
+        """(s,) vapour pressure [Pa] at the heights of the exposures [m above sea level]."""
         return self._each(h, Profile.vapour_pressure)
 
     def refractivity(self, h: Array) -> Array:
-        """(s,) n - 1."""
+        """(s,) n - 1 at the heights of the exposures [m above sea level]."""
         return self._each(h, Profile.refractivity)
 
     def _each(self, h: Array, function: Callable[[Profile, ArrayLike], Array]) -> Array:
@@ -171,9 +173,9 @@ def interpolate_series(
     """The air at the times of exposures, linear in time between ``nodes`` and constant beyond.
 
     ``nodes``: two or more, in the order of time. ``time_ns``: (s,) of the exposures [Unix ns].
-    ``h_c``, ``h_g``: heights of cameras and ground [m above sea level]. Between nodes stand just so
-    many profiles that R of the cameras changes by less than 0.05 % from one to the next; an
-    exposure takes the nearest in time, and what none takes is left out.
+    ``h_c``, ``h_g``: heights of cameras and ground [m above sea level]. Between nodes there are as
+    many profiles as are needed so that R of the cameras changes by less than 0.05 % from one to the
+    next. An exposure gets the nearest in time; profiles without an exposure are left out.
     """
     node_times = []
     for node in nodes:
@@ -197,7 +199,7 @@ def _steps_between(
     h_c: Sequence[float],
     h_g: float,
 ) -> list[_Step]:
-    """Profiles from the first node to the last, between which R hardly changes."""
+    """Steps from the first node to the last, such that R changes by less than 0.05 % in each."""
     steps: list[_Step] = []
     for number, (earlier, later) in enumerate(pairwise(nodes)):
         change = abs(later.change_from(earlier, h_c, h_g))
@@ -209,13 +211,13 @@ def _steps_between(
 
 
 class _Step(NamedTuple):
-    """A profile between a node and the next, with the share of the next."""
+    """A profile between node number ``node`` and the next, with the share of the next, 0 to 1."""
 
     node: int
     share: float
 
     def time_ns(self, node_times: Sequence[int]) -> int:
-        """Its time, from those of all nodes [Unix ns]."""
+        """Time of the profile, from the times of all nodes [Unix ns]."""
         earlier_ns = node_times[self.node]
         later_ns = node_times[self.node + 1]
         return earlier_ns + round(self.share * (later_ns - earlier_ns))
@@ -229,13 +231,13 @@ def add_ageing(
     h_g: float,
     path: FlightPath | None = None,
 ) -> tuple[ProfileSeries, Notes]:
-    """The same air, with the sigmas that it has for exposures away from its samples.
+    """The series with larger sigmas for exposures that are far in time or place from the samples.
 
-    That is long after or before them, or far from them. ``time_ns``: (s,) of the exposures
-    [Unix ns]. ``samples``: what the air was estimated from. ``h_c``, ``h_g``: heights of the
-    highest camera and of the ground [m above sea level]. ``path``: where the flight was; without
-    it only time counts. Exposures are taken together in quarters of an hour and squares of 20 km;
-    air sampled within half an hour and 18 km stays as it is.
+    ``time_ns``: (s,) of the exposures [Unix ns]. ``samples``: what the air was estimated from.
+    ``h_c``, ``h_g``: heights of the highest camera and of the ground [m above sea level].
+    ``path``: where the flight was; without it only time counts. Exposures are taken together in
+    quarters of an hour and squares of 20 km; air sampled within half an hour and 18 km is not
+    changed.
     """
     if time_ns.size == 0:
         return series, ()
@@ -244,31 +246,31 @@ def add_ageing(
     if all(age.is_fresh for age in ages):
         return series, ()
     airs: list[TimedProfile] = []
-    place_of_fresh: dict[int, int] = {}
-    place_of_group = np.zeros(len(ages), np.int64)
+    new_number_of_fresh: dict[int, int] = {}  # by the number in the series
+    new_number_of_group = np.zeros(len(ages), np.int64)
     for i, age in enumerate(ages):
         number = int(groups.profile_number[i])
         air = series.timed_profiles[number]
         if not age.is_fresh:
             air = replace(air, time_ns=groups.mean_ns[i], ages=age)
-        elif number in place_of_fresh:
-            place_of_group[i] = place_of_fresh[number]
+        elif number in new_number_of_fresh:
+            new_number_of_group[i] = new_number_of_fresh[number]
             continue
         else:
-            place_of_fresh[number] = len(airs)
-        place_of_group[i] = len(airs)
+            new_number_of_fresh[number] = len(airs)
+        new_number_of_group[i] = len(airs)
         airs.append(air)
     is_old = np.array([not age.is_fresh for age in ages])
     old_exposures = int(np.count_nonzero(is_old[groups.group]))
     aged = aged_note(ages, count=old_exposures)
-    return ProfileSeries(tuple(airs), place_of_group[groups.group]), (aged,)
+    return ProfileSeries(tuple(airs), new_number_of_group[groups.group]), (aged,)
 
 
 class ExposureGroups(NamedTuple):
     """Exposures that share the age of their air.
 
-    ``group`` (s,) of each exposure; of each of the (g,) groups the number of its profile and the
-    mean of its times [Unix ns].
+    ``group`` (s,): number of the group of each exposure. Of each group (g,): ``profile_number``,
+    and ``mean_ns``, the mean of its times [Unix ns].
     """
 
     group: Integers
@@ -281,7 +283,10 @@ def group_exposures(
     time_ns: Integers,
     path: FlightPath | None,
 ) -> ExposureGroups:
-    """Exposures of one profile, quarter of an hour and square of 20 km together."""
+    """Groups of exposures that share profile, quarter of an hour and square of 20 km.
+
+    ``time_ns`` (s,): of the exposures [Unix ns]. Without a ``path`` place does not count.
+    """
     start_ns = int(time_ns.min())
     slots = (time_ns - start_ns) // SLOT_NS
     keys = np.stack([series.profile_number, slots])
@@ -301,10 +306,10 @@ def interpolate_profiles(
     b: TimedProfile,
     share: float,
 ) -> TimedProfile:
-    """The air between two times: (1 - share) of one and share of the other, under one gravity.
+    """The air between two times: (1 - share) of ``a`` and share of ``b``, which have one gravity.
 
-    T_M and e/p are interpolated at the edges of both, ln p at one height; pressure follows by
-    Eq. 52-53.
+    T_M and e/p are interpolated at the edges of both, ln p at one height; pressure elsewhere
+    follows by Eq. 52-53.
     """
     if a.time_ns is None or b.time_ns is None:
         raise ValueError("air between two times needs both")
@@ -340,7 +345,7 @@ def interpolate_profiles(
 
 
 def _common_edges(a: Array, b: Array) -> Array:
-    """The edges (k,) of two profiles [m'] where both have air, none a sliver from the next."""
+    """The edges (k,) of two profiles [m'] where both have air, all more than 1 m' apart."""
     lowest = max(a[0], b[0])
     highest = min(a[-1], b[-1])
     edge = np.union1d(a, b)
@@ -353,11 +358,14 @@ def _common_edges(a: Array, b: Array) -> Array:
 
 
 def _covariance_at(covariance: ProfileCovariance, edge: Array, anchor: float) -> Array:
-    """A covariance for other edges and another anchor [m']."""
+    """The covariance matrix of a profile for other edges (n,) and another anchor [m'].
+
+    (2n + 1, 2n + 1), in the order of `ProfileCovariance.matrix`.
+    """
     layers = covariance.profile.layers
     k = layers.edge.size
     size = edge.size
-    weights = hats(layers.edge, edge)
+    weights = interpolation_weights(layers.edge, edge)
     anchor_h = np.atleast_1d(covariance.profile.gravity.height(anchor))
     by_state = np.zeros((2 * size + 1, 2 * k + 1))
     by_state[:size, :k] = weights

@@ -1,7 +1,7 @@
 """The air along a flight by a weather model: how the model's column changes from place to place.
 
-A flight measures the air in its climb. Elsewhere, and at another time, the air is that profile plus
-the model's column there minus the model's column where and when the climb was.
+A flight measures the air in its climb. Elsewhere, and at another time, the air is the measured
+profile plus the model's column there minus the model's column where and when the climb was.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from unbend.atmosphere.soundings.model_field import ModelColumns, ModelField
 from unbend.messages import Notes
 from unbend.units import VAPOUR_DEFICIT, Array, Integers, Rows
 
-# In a shorter flight the air of one place and time is that of all.
+# In a flight that is shorter in both, all exposures have the air of one place and time.
 LONG_KM = 30.0
 LONG_H = 2.0
 
 LEFT_BY_MODEL = 0.5
-"""Share of a distance that counts where a model's differences are added: half of the variance that
-the air changes by is left. Set by judgement."""
+"""Share of a distance that counts where a model's differences are added: half of the variance of
+the air's change remains. Set by judgement."""
 
 _CELL_KM = 2.0  # exposures of a square and of ten minutes share a column of the model
 _CELL_NS = 600 * 10**9
@@ -69,22 +69,22 @@ class PlacedExposures:
 
     @cached_property
     def km_per_rad(self) -> Array:
-        """(2,) kilometres of a radian of latitude and of longitude."""
+        """(2,) kilometres in a radian of latitude, and in one of longitude at the mean latitude."""
         mean_latitude = self.latitude_rad.mean()
         return _EARTH_KM * np.array([1.0, np.cos(mean_latitude)])
 
     @cached_property
     def km(self) -> Array:
-        """(2, k) kilometres north and east."""
+        """(2, k) kilometres north of the equator and east of Greenwich."""
         places = np.stack([self.latitude_rad, self.longitude_rad])
         return np.asarray(self.km_per_rad[:, None] * places)
 
     def km_of_origin(self, place: PlaceInTime) -> Array:
-        """(2,) kilometres north and east of a place where air was sampled."""
+        """(2,) kilometres as in `km` of a place where air was sampled."""
         return np.asarray(self.km_per_rad * place[:2])
 
     def extent_km(self, origins: Mapping[PlaceInTime, ColumnAir]) -> float:
-        """Diagonal of the area of the exposures and of the places where air was sampled."""
+        """Diagonal [km] of the area of the exposures and of the places where air was sampled."""
         km_of_origins = [self.km_of_origin(place) for place in origins]
         km = np.hstack([self.km, np.array(km_of_origins).T])
         return float(np.hypot(*np.ptp(km, axis=1)))
@@ -98,7 +98,11 @@ class PlacedExposures:
 
 
 class ExposureCells(NamedTuple):
-    """Cells (c,) of exposures (k,) that share the model's column at the first of them."""
+    """Cells (c,) of exposures (k,); those of a cell share a column of the model.
+
+    ``profile_number`` (c,): in the series. ``first_exposure`` (c,): the exposure with the place of
+    the column. ``cell_of_exposure`` (k,).
+    """
 
     profile_number: Integers
     first_exposure: Rows
@@ -106,9 +110,10 @@ class ExposureCells(NamedTuple):
 
 
 class ChangedAirs(NamedTuple):
-    """The profiles of a series, those ``added`` by the model's changes, and which each cell has.
+    """Profiles with the model's changes, and the profile of each cell.
 
-    ``largest`` is the largest change of ln R.
+    ``airs``: the profiles of the series, then ``added`` changed ones. ``air_of_cell`` (c,): numbers
+    in ``airs``. ``largest``: the largest change of ln R in absolute value.
     """
 
     airs: list[TimedProfile]
@@ -130,12 +135,14 @@ def add_model_changes(
 ) -> tuple[ProfileSeries, Notes]:
     """The air of each exposure's own place, where a flight is longer than 30 km or two hours.
 
-    Times and places (s,) of the exposures, NaN where not known, longitudes going on across the
-    180th meridian. Profiles of ``series`` have ``sampled_at``, or neighbours that have it. ``h_c``,
-    ``h_g``: heights of cameras and of the ground [m above sea level]. Exposures share a profile
-    where R differs by less than 0.05 %. What a model's differences leave is that of half the
-    distance from where it was ``measured``; a ray at 45 degrees ends as far away as the camera is
-    high, so that counts as a distance too (docs/pages/air/weather_model.md).
+    ``time_ns``, ``latitude_rad``, ``longitude_rad``: (s,) of the exposures; places NaN where
+    unknown, longitudes go on across the 180th meridian. Profiles of ``series`` have ``sampled_at``,
+    or neighbours that have it. ``h_c``, ``h_g``: heights of cameras and of the ground [m above sea
+    level]. ``measured``: whether the air was measured, so that the distance from its samples
+    counts; else it is the model's own. Exposures share a profile where R differs by less than
+    0.05 %. The model's differences leave the uncertainty of half a distance: that from the samples,
+    and the height of the camera, because a ray at 45 degrees ends as far away as the camera is high
+    (docs/pages/air/weather_model.md).
     """
     has_place = np.isfinite(latitude_rad + longitude_rad)
     if not bool(has_place.any()):
@@ -194,7 +201,7 @@ def _columns_of_origins(
 
 
 def _cells_of(exposures: PlacedExposures) -> ExposureCells:
-    """Exposures of one profile, of ten minutes and of a square of 2 km together."""
+    """Cells of exposures that share profile, ten minutes and square of 2 km."""
     slot = (exposures.time_ns - exposures.time_ns.min()) // _CELL_NS
     square = np.floor(exposures.km / _CELL_KM)
     keys = np.vstack([exposures.profile_number, slot, square])
@@ -219,14 +226,18 @@ def _changed_airs(
     h_g: float,
     measured: bool,
 ) -> ChangedAirs:
-    """The air of each cell; cells whose distance and change of ln R round to the same share it."""
+    """The air of each cell, with the model's change from where it was sampled to the cell.
+
+    Cells of one profile share the air if their distances and changes of ln R round to the same.
+    ``origins``: the model's columns where the air was sampled.
+    """
     columns = field.columns(
         exposures.latitude_rad[cells.first_exposure],
         exposures.longitude_rad[cells.first_exposure],
         exposures.time_ns[cells.first_exposure],
     )
     airs = list(series.timed_profiles)
-    number_of_key: dict[tuple[int, ...], int] = {}  # of profile, distance and changes
+    number_of_key: dict[tuple[int, ...], int] = {}  # in ``airs``; key: profile, distance, changes
     air_of_cell = np.zeros(cells.first_exposure.size, np.int64)
     largest = 0.0
     for cell, exposure in enumerate(cells.first_exposure):
@@ -255,7 +266,7 @@ def _add_distances(
     exposures: PlacedExposures,
     exposure: int,
 ) -> float:
-    """A distance and those of an exposure from where the air was sampled, by their weights."""
+    """A distance [km] plus the weighted mean distance of an exposure from where air was sampled."""
     for place, weight in _origins(air):
         north, east = exposures.km[:, exposure] - exposures.km_of_origin(place)
         away_km += weight * float(np.hypot(north, east))
@@ -268,7 +279,7 @@ def _changes_of_refraction(
     h_c: Sequence[float],
     h_g: float,
 ) -> list[float]:
-    """The change of ln R from one air to another, for each camera above the ground."""
+    """The change of ln R from ``air`` to ``changed``, for each camera over 1 m above ground."""
     changes = []
     for height in h_c:
         if height > h_g + _LOWEST_CAMERA_M:
@@ -277,10 +288,10 @@ def _changes_of_refraction(
 
 
 def _ages_with_distance(air: TimedProfile, h_g: float, away_km: float) -> SampleAges:
-    """The ages of an air's samples, with what counts of a distance added to their own."""
+    """The ages of an air's samples, with the share `LEFT_BY_MODEL` of a distance added."""
     ages = air.ages or SampleAges(np.array([h_g]), np.zeros(1))
-    left_m = 1e3 * LEFT_BY_MODEL * away_km
-    metres = np.broadcast_to(ages.metres + left_m, ages.h_m.shape)
+    added_m = 1e3 * LEFT_BY_MODEL * away_km
+    metres = np.broadcast_to(ages.metres + added_m, ages.h_m.shape)
     return SampleAges(ages.h_m, ages.hours, metres)
 
 
@@ -300,7 +311,10 @@ def _origins(air: TimedProfile) -> list[WeightedPlace]:
 
 
 def _column(columns: ModelColumns, number: int) -> ColumnAir:
-    """One of several columns of a model, at the levels where it has air."""
+    """Column ``number`` of several columns of a model, at the levels where it has air.
+
+    The model has its levels from the top down.
+    """
     vapour = columns.vapour[number]
     virtual = columns.temperature_k[number] / (1.0 - VAPOUR_DEFICIT * vapour)
     values = np.stack([virtual, vapour, columns.log_pressure[number]])
@@ -316,9 +330,11 @@ def changed_air(
     origins: Mapping[PlaceInTime, ColumnAir],
     h_g: float,
 ) -> TimedProfile:
-    """The air with the model's change to a column ``here`` from where the air was sampled.
+    """The air plus the model's column ``here`` minus its columns where the air was sampled.
 
-    Below the lowest and above the highest level of both columns the change is that there.
+    ``origins``: these columns. ``h_g``: height of the ground [m above sea level], where ln p is
+    changed by the model; elsewhere pressure follows by hydrostatics. Below the lowest and above the
+    highest level that two columns share, their difference is constant.
     """
     profile = air.profile
     layers = profile.layers
@@ -349,7 +365,7 @@ def changed_air(
 
 
 def _difference(here: ColumnAir, there: ColumnAir, heights: Array) -> Array:
-    """(3, n) T_M, e/p and ln p of one column less those of another at heights (n,) [m']."""
+    """(3, n) T_M, e/p and ln p of column ``here`` minus those of ``there``, at heights [m']."""
     lowest = max(here.height[0], there.height[0])
     highest = min(here.height[-1], there.height[-1])
     common = np.clip(heights, lowest, highest)

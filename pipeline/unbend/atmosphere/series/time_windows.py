@@ -1,7 +1,8 @@
-"""The air of a long flight in windows of time, each estimated by itself.
+"""The air of a long flight in windows of time, each with an estimate of its own.
 
-The whole flight's estimate is the background of each window, so that heights which a window did not
-visit keep that of the rest of the flight; estimated sensor faults are carried over too.
+The background of each window is the estimate of the whole flight, so heights that a window did not
+visit keep the air of the whole flight. The estimated sensor faults of the whole flight are the
+prior of those in a window.
 """
 
 from collections.abc import Sequence
@@ -26,11 +27,11 @@ from unbend.messages import Notes
 MOST_WINDOWS = 12  # each as long as the air stays fresh, or longer
 
 _FAULT_CHANGE = 0.2
-"""Share of a fault's expected sigma by which it may be another in another window."""
+"""One sigma of a fault's change between windows, as a share of its prior sigma."""
 
 SIGNIFICANT = 1.5
-"""Sigmas (RMS over the windows) by which R must depart from the whole flight's: in constant air 16
-flights of four hours came to 1.3 at most."""
+"""Sigmas (RMS over the windows) by which R must depart from that of the whole flight, so that
+windows are used: in constant air, 16 flights of four hours reached 1.3 at most."""
 
 OWN_LENGTH_M = 5000.0  # correlation in height of the errors of the whole flight's profile [m]
 
@@ -43,7 +44,8 @@ of R were 1.1 to 1.6 sigma RMS in six sets of flights."""
 class TimeWindow:
     """A part of the flight [Unix ns] and its air.
 
-    ``change`` is ln of its R over the whole's; ``why_not`` says why its own estimate is not used.
+    ``change``: ln of its refraction R over that of the whole flight; ``sigma``: one sigma of R/R.
+    Both are 0 where the air is that of the whole flight, and ``why_not`` states why.
     """
 
     start_ns: int
@@ -55,9 +57,10 @@ class TimeWindow:
 
 
 def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
-    """Parts of a flight [Unix ns], each half an hour or more, that span enough height.
+    """Start and end [Unix ns] of parts of a flight, each half an hour or more over enough height.
 
-    A part that spans less is joined with its shorter neighbour, until there is one part only.
+    A part over too little height is joined with the shorter of its neighbours; at last there may be
+    one part only. Empty if neither thermometer nor barometer has a reading.
 
     >>> time_windows(AirSamples())
     ()
@@ -73,7 +76,7 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
     edges = [start_ns + duration_ns * i // count for i in range(count + 1)]
     parts = list(pairwise(edges))
     while len(parts) > 1:
-        extents = [_part(sensor, *part).extent_m for part in parts]
+        extents = [_part_of_sensor(sensor, *part).extent_m for part in parts]
         flattest = int(np.argmin(extents))
         if extents[flattest] >= SMALLEST_CLIMB_M:
             break
@@ -84,22 +87,23 @@ def time_windows(samples: AirSamples) -> tuple[tuple[int, int], ...]:
 
 
 def _first_of_pair(parts: Sequence[tuple[int, int]], number: int) -> int:
-    """The first of two parts that are joined: one part and the shorter of its neighbours."""
+    """The first of the two parts that are joined: part ``number`` and its shorter neighbour."""
     if number == 0:
         return number
     if number == len(parts) - 1:
         return number - 1
     before_ns = parts[number - 1][1] - parts[number - 1][0]
     after_ns = parts[number + 1][1] - parts[number + 1][0]
-    return number - 1 if before_ns <= after_ns else number
+    is_before_shorter = before_ns <= after_ns
+    return number - 1 if is_before_shorter else number
 
 
 def _deciding_sensor(samples: AirSamples) -> SensorSamples | None:
-    """The sensor whose heights decide: the thermometer, without it the barometer."""
+    """The sensor that decides on windows by its heights: the thermometer, else the barometer."""
     return samples.pressure if samples.temperature is None else samples.temperature
 
 
-def _part(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
+def _part_of_sensor(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
     """The samples of a sensor from one time until before another [Unix ns]."""
     first, last = np.searchsorted(sensor.time_ns, [start_ns, end_ns])
     return part_of(sensor, slice(first, last))
@@ -108,15 +112,15 @@ def _part(sensor: SensorSamples, start_ns: int, end_ns: int) -> SensorSamples:
 def part_of_flight(samples: AirSamples, start_ns: int, end_ns: int) -> AirSamples:
     """What a flight measured from one time until before another [Unix ns].
 
-    Take-offs stay; where they are not known, a part that begins after the first sample begins in
-    the air.
+    The take-offs of the whole flight stay. Where they are unknown, a part that begins after the
+    first sample is taken to begin in the air: it has an empty array of take-offs.
     """
     parts: dict[str, SensorSamples] = {}
     for name in ("temperature", "pressure", "humidity", "airspeed"):
         sensor = getattr(samples, name)
         if sensor is None:
             continue
-        part = _part(sensor, start_ns, end_ns)
+        part = _part_of_sensor(sensor, start_ns, end_ns)
         if part.time_ns.size:
             parts[name] = part
     takeoffs = samples.takeoff_ns
@@ -131,7 +135,7 @@ def estimate_windows(
     h_c: Sequence[float],
     h_g: float,
 ) -> tuple[tuple[TimeWindow, ...], Notes]:
-    """The air of each window of a flight, in the order of time; none where one profile is enough.
+    """The air of each window of a flight, in the order of time; empty if one profile is enough.
 
     ``h_c``, ``h_g``: heights of cameras and of the ground [m above sea level], for the change of R.
 
@@ -160,7 +164,7 @@ def estimate_windows(
         middle_ns = _middle_of_part(part, start_ns, end_ns)
         air, why_not = _air_of_part(part, middle_ns, whole, background)
         if air is None or air.own_covariance is None:
-            # It has no estimate of its own that can be used.
+            # The window has no estimate of its own that can be used.
             air = replace(whole_air, time_ns=middle_ns)
             windows.append(TimeWindow(start_ns, end_ns, air, why_not=why_not))
             continue
@@ -171,7 +175,7 @@ def estimate_windows(
 
 
 def _middle_of_part(part: AirSamples, start_ns: int, end_ns: int) -> int:
-    """The middle of its times [Unix ns], that of the visits to its heights where it has any."""
+    """The middle of a part [Unix ns]: that of the visits to its heights, else of its limits."""
     deciding = _deciding_sensor(part)
     if deciding is not None and deciding.middle_of_heights_ns is not None:
         return deciding.middle_of_heights_ns
@@ -184,7 +188,10 @@ def _windows_if_significant(
     *,
     utc_known: bool,
 ) -> tuple[tuple[TimeWindow, ...], Notes]:
-    """The windows where their R departs from that of the whole flight, else none; and why."""
+    """The windows if their R departs from that of the whole flight, else none; and messages why.
+
+    ``hours``: duration of the flight.
+    """
     estimated = [window for window in windows if not window.why_not]
     if not estimated:
         return (), (messages.air_windows_none(hours=hours),)
@@ -225,7 +232,11 @@ def _moment(time_ns: int | None, *, utc_known: bool) -> str:
 def _whole_flight_as_background(
     covariance: ProfileCovariance, spread: Spread, hours: float
 ) -> Climatology:
-    """The whole flight as what is expected in a part of it; ``spread`` of the climatology."""
+    """The air of the whole flight as the background of its parts.
+
+    Its spread has the errors of the estimate, and what the air may change by in the ``hours`` of
+    the flight. ``spread``: of the climatology, which limits that of humidity.
+    """
     profile = covariance.profile
     inside = (spread.h_m > profile.bottom_m) & (spread.h_m < profile.top_m)
     h = spread.h_m[inside]
@@ -256,11 +267,14 @@ def _air_of_part(
     whole: Adjustment,
     background: Climatology,
 ) -> tuple[TimedProfile | None, str]:
-    """The air of a window by its own readings, or None and why they cannot be used."""
+    """The air of a window by its own readings; or None, and in words why they cannot be used.
+
+    ``whole``: the adjustment of the whole flight; ``background``: its air as a background.
+    """
     if _deciding_sensor(part) is None:
         return None, "nothing was measured then"
     faults = [_less_certain(fault) for fault in whole.faults]
-    made = estimate(part, background, settings=whole.settings, known=faults)
+    made = estimate(part, background, settings=whole.settings, known_faults=faults)
     if not made.converged:
         return None, "its estimate did not converge"
     if whole.moisture is not None:
@@ -279,6 +293,6 @@ def _air_of_part(
 
 
 def _less_certain(fault: FaultEstimate) -> FaultEstimate:
-    """A sensor's fault in another hour of the flight."""
+    """A sensor fault of the whole flight as the prior of one window: less certain by its change."""
     change = _FAULT_CHANGE * fault.prior_sigma
     return replace(fault, sigma=float(np.hypot(fault.sigma, change)))
