@@ -305,10 +305,10 @@ def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) ->
         if stations.ok.any() and not np.isfinite(undulation[stations.ok]).any():
             raise messages.undulation_unknown()
         return -undulation
-    return np.full(n, known_home_m(heights))
+    return np.full(n, required_home_m(heights))
 
 
-def known_home_m(heights: HeightSystem) -> float:
+def required_home_m(heights: HeightSystem) -> float:
     """The height of the take-off point; refuses (MissionError) heights relative to an unknown."""
     if heights.home_h_msl_m is not None:
         return heights.home_h_msl_m

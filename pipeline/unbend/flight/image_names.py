@@ -54,7 +54,7 @@ def without_differences(name: str, differences: Collection[str]) -> str:
     return name.casefold() if "case" in differences else name
 
 
-def other_names(
+def images_by_name(
     images: Iterable[str], known: Iterable[str], differences: Collection[str]
 ) -> dict[str, str]:
     """Match ``known`` names to ``images`` that have the same name but for the differences.
@@ -62,7 +62,7 @@ def other_names(
     Returns the image of each known name that has exactly one match. Names that are equal are left
     out, and so are names that the differences make equal to another one.
 
-    >>> other_names(["A_01.tif", "b.tif"], ["a_1.tif", "b.tif"], ["case", "digits"])
+    >>> images_by_name(["A_01.tif", "b.tif"], ["a_1.tif", "b.tif"], ["case", "digits"])
     {'a_1.tif': 'A_01.tif'}
     """
     images = set(images)
@@ -90,7 +90,7 @@ def _by_short_name(names: Collection[str], differences: Collection[str]) -> dict
     return only_names
 
 
-def renamed(
+def renamed_like_images(
     names: Names,
     images: Iterable[str],
     differences: Collection[str],
@@ -103,7 +103,7 @@ def renamed(
     """
     all_names = names.tolist()
     given = [name for name in all_names if name]
-    matches = other_names(images, given, differences)
+    matches = images_by_name(images, given, differences)
     if not matches:
         return names, ()
     example, its_image = next(iter(matches.items()))
@@ -118,7 +118,7 @@ def renamed(
     return np.array(new_names, dtype=object), (message,)
 
 
-def proposal(images: Collection[str], known: Collection[str]) -> str:
+def propose_differences(images: Collection[str], known: Collection[str]) -> str:
     """Propose, in words, which differences to allow so that most images match; "" where none do.
 
     Of sets of differences that match equally many images the smallest is proposed.
@@ -127,7 +127,7 @@ def proposal(images: Collection[str], known: Collection[str]) -> str:
     best_differences: tuple[Difference, ...] = ()
     for size in range(1, len(DIFFERENCES) + 1):
         for differences in combinations(DIFFERENCES, size):
-            matches = other_names(images, known, differences)
+            matches = images_by_name(images, known, differences)
             if len(matches) > len(best):  # else the smaller set, which was tried before, stays
                 best = matches
                 best_differences = differences
@@ -168,7 +168,7 @@ def refuse_other_names(
             image=unknown[0],
             exposures=len(names),
             example=next(iter(names), None),
-            proposal=proposal(unknown, names),
+            proposal=propose_differences(unknown, names),
         )
 
 

@@ -8,7 +8,7 @@ from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.flight import messages
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.stretches import HEIGHT, Stretch, covered
+from unbend.flight.evidence.stretches import HEIGHT, Stretch, in_any_stretch
 from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, times_on_the_ground
 from unbend.flight.heights import HeightSystem, heights_at
 from unbend.messages import Message, Notes
@@ -88,7 +88,7 @@ def _without_suspect_heights(
     sensor: SensorSamples, suspect_heights: Sequence[Stretch]
 ) -> tuple[SensorSamples, Notes]:
     """A sensor whose readings in some stretches are rejected, as their height may be wrong."""
-    sensor = sensor.reject(covered(suspect_heights, sensor.time_ns), Reason.SUSPECT_HEIGHT)
+    sensor = sensor.reject(in_any_stretch(suspect_heights, sensor.time_ns), Reason.SUSPECT_HEIGHT)
     count = sensor.count(Reason.SUSPECT_HEIGHT)
     if count == 0:
         return sensor, ()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.sources import metres, places_of
+from unbend.flight.evidence.sources import north_east_m, places_of
 from unbend.flight.evidence.stretches import ATTITUDE, POSITION
 from unbend.flight.interpolation import interpolate
 
@@ -116,6 +116,6 @@ def median_distance_m(track: Channel, other: Channel) -> float:
         for name in ("lat_rad", "lon_rad")
     ]
     change = np.stack(columns, axis=1) - places_of(compared, POSITION)
-    distance_m = np.linalg.norm(metres(change, compared["lat_rad"]), axis=1)
+    distance_m = np.linalg.norm(north_east_m(change, compared["lat_rad"]), axis=1)
     is_known = np.isfinite(distance_m)
     return float(np.median(distance_m[is_known])) if is_known.any() else float("nan")

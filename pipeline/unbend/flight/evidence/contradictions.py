@@ -43,8 +43,8 @@ from unbend.flight.evidence.stretches import (
     SECOND,
     Run,
     Stretch,
-    covered,
-    merged,
+    in_any_stretch,
+    joined_stretches,
     runs,
     stretch_of_run,
 )
@@ -80,7 +80,7 @@ def examine(
         channel = roles.get(quantity)
         if channel is not None and len(with_places(channel, quantity)) > FEWEST_SAMPLES:
             examination.examine_places(quantity, channel)
-    suspect = [*examination.suspect, *merged(examination.suspect_attitude)]
+    suspect = [*examination.suspect, *joined_stretches(examination.suspect_attitude)]
     return examination.result, tuple(sorted(suspect)), tuple(examination.notes)
 
 
@@ -127,16 +127,16 @@ class _Examination:
         if quantity == POSITION and not is_receiver(channel):
             # What the autopilot reports is of its filter, and says nothing against a receiver.
             suspect += [s for s in self.reported if s.quantity == POSITION]
-            self._prolong_suspect_attitude(merged(suspect))
+            self._prolong_suspect_attitude(joined_stretches(suspect))
         elif quantity == HEIGHT and is_receiver(channel):
             # A fix that has stepped away in position is wrong in height too.
             stepped_away = self._steps_in_position(channel)
             suspect += [replace(s, quantity=HEIGHT, off_m=np.nan) for s in stepped_away]
             sources = _without_stretches(sources, stepped_away)
         for barometer, drifts in contradictions.barometer_drifts.items():
-            for drift in merged(drifts):
+            for drift in joined_stretches(drifts):
                 self._report_drift(barometer, drift)
-        for stretch in merged(suspect):
+        for stretch in joined_stretches(suspect):
             stretch_with_source = self._replace_if_plain(sources, stretch)
             self.suspect.append(stretch_with_source)
 
@@ -166,7 +166,7 @@ class _Examination:
         """The stretches in which a receiver has stepped away in position, by a known distance."""
         with_velocity = [receiver, *sorted(self.channels, key=is_receiver)]
         path = source_path(receiver, POSITION, with_velocity)
-        return [s for s in own_contradictions(path, POSITION) if np.isfinite(s.off_m)]
+        return [s for s in steps_and_poor_accuracy(path, POSITION) if np.isfinite(s.off_m)]
 
     def _report_drift(self, barometer: str, drift: Stretch) -> None:
         """Report a barometer that drifts; if the pressure is from it, remove the pressure there."""
@@ -204,7 +204,7 @@ class _Examination:
 def _without_stretches(sources: Sources, stretches: list[Stretch]) -> Sources:
     """Sources in which the samples of the role within some stretches no longer count as good."""
     path = sources.of_role
-    good = path.good & ~covered(stretches, path.channel.time_ns)
+    good = path.good & ~in_any_stretch(stretches, path.channel.time_ns)
     return replace(sources, of_role=replace(path, good=good))
 
 
@@ -342,17 +342,17 @@ def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> lis
     path = sources.of_role
     quantity = sources.quantity
     if is_receiver(path.channel):
-        silent = silences(path.channel, while_on, quantity)
-        return own_contradictions(path, quantity) + silent
+        silent = receiver_silences(path.channel, while_on, quantity)
+        return steps_and_poor_accuracy(path, quantity) + silent
     receivers: list[SourcePath] = []
     for difference in sources.differences:
         if is_receiver(difference.other.channel):
             receivers.append(difference.other)
     if not receivers:
-        return own_contradictions(path, quantity)
+        return steps_and_poor_accuracy(path, quantity)
     suspect: list[Stretch] = []
     if len(receivers) == 1:
-        of_receiver = own_contradictions(receivers[0], quantity)
+        of_receiver = steps_and_poor_accuracy(receivers[0], quantity)
         # ``off_m`` is known of steps that return: the difference from the filter shows them.
         suspect = [stretch for stretch in of_receiver if not np.isfinite(stretch.off_m)]
     return suspect + _common_silences(receivers, path.channel, quantity)
@@ -362,14 +362,16 @@ def _common_silences(
     receivers: list[SourcePath], while_on: Channel, quantity: str
 ) -> list[Stretch]:
     """The silences of the first receiver in which all other receivers are silent too."""
-    first, *other_silences = [silences(path.channel, while_on, quantity) for path in receivers]
+    first, *other_silences = [
+        receiver_silences(path.channel, while_on, quantity) for path in receivers
+    ]
     common = first
     for of_receiver in other_silences:
         common = [silence for silence in common if any(map(silence.meets, of_receiver))]
     return common
 
 
-def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
+def steps_and_poor_accuracy(path: SourcePath, quantity: str) -> list[Stretch]:
     """The stretches in which a source has stepped away from itself, or reports a poor accuracy."""
     time_ns = path.channel.time_ns
     name = path.channel.name
@@ -391,7 +393,7 @@ def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
     return suspect
 
 
-def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretch]:
+def receiver_silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretch]:
     """The stretches in which a receiver has no fix: it gives nothing though another channel does.
 
     ``while_on`` : that channel. Where it has a gap too, the log has one.

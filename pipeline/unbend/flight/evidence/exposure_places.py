@@ -13,8 +13,8 @@ import numpy as np
 from unbend.flight.channels import Channel
 from unbend.flight.evidence import messages
 from unbend.flight.evidence.log_accuracy import LogAccuracy
-from unbend.flight.evidence.sources import is_receiver, metres
-from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, Stretch, covered
+from unbend.flight.evidence.sources import is_receiver, north_east_m
+from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, Stretch, in_any_stretch
 from unbend.flight.ground_times import HOME_NOT_SET_M
 from unbend.flight.interpolation import interpolate
 from unbend.flight.mount import is_of_gimbal
@@ -57,7 +57,7 @@ class ExposureEvidence:
     channel: Channel
     time_ns: Integers
     roles: Mapping[str, Channel]
-    own: Mapping[str, Channel]
+    log_roles: Mapping[str, Channel]
     accuracy: LogAccuracy
     suspect: Sequence[Stretch]
     lever_arm_m: float
@@ -77,10 +77,10 @@ class ExposureEvidence:
         )[:, None]
         return np.asarray(earliest + np.round(share * (latest - earliest)).astype(np.int64))
 
-    def counts(self, quantity: str) -> Mask:
+    def is_trusted(self, quantity: str) -> Mask:
         """(n,) which exposures count: those in no suspect stretch of a quantity."""
         stretches = [stretch for stretch in self.suspect if stretch.quantity == quantity]
-        return ~covered(stretches, self.time_ns)
+        return ~in_any_stretch(stretches, self.time_ns)
 
 
 def exposure_findings(evidence: ExposureEvidence) -> Iterator[Message]:
@@ -111,7 +111,7 @@ def _place_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     limit_m = NOISE_M + SIGMAS * sigma_m
     limit_m += evidence.lever_arm_m
     limit_m += nearest.between_m / 2.0  # the nearest place may be half-way between two instants
-    is_known = np.isfinite(nearest.distance_m) & evidence.counts(POSITION)
+    is_known = np.isfinite(nearest.distance_m) & evidence.is_trusted(POSITION)
     is_off = is_known & (np.nan_to_num(nearest.distance_m) > limit_m)
     if is_off.any():
         yield messages.exposures_elsewhere(
@@ -166,7 +166,7 @@ def _offset(shots: Channel, track: Track) -> Array:
     north = shots["lat_rad"] - track.lat_rad
     east = shots["lon_rad"] - track.lon_rad
     change = np.stack([north, east], axis=1)
-    return metres(change, shots["lat_rad"])
+    return north_east_m(change, shots["lat_rad"])
 
 
 def _sigma(sigma_m: Array) -> Array:
@@ -188,7 +188,7 @@ class _OwnSigmas:
 
 def _own_sigma(evidence: ExposureEvidence) -> _OwnSigmas:
     """The sigmas of the log's own positions at its exposures."""
-    position = evidence.own.get(POSITION)
+    position = evidence.log_roles.get(POSITION)
     if position is None:
         unknown = np.full(evidence.time_ns.shape, UNKNOWN_SIGMA_M)
         return _OwnSigmas(unknown, unknown)
@@ -230,8 +230,8 @@ def _height_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     * ``h_gnss_m`` is the receiver's: compared with the receiver, by `HEIGHT_NOISE_M`.
     * ``h_ellipsoid_m`` may be of either: compared with the receiver, by `OTHER_SOURCE_M`.
     """
-    position = evidence.own.get(POSITION)
-    height = evidence.own.get(HEIGHT)
+    position = evidence.log_roles.get(POSITION)
+    height = evidence.log_roles.get(HEIGHT)
     if position is not None and not is_receiver(position):
         yield from _heights_beside(
             evidence,
@@ -286,7 +286,7 @@ def _heights_beside(
         _own_sigma(evidence).height_m,
     )
     limit_m = noise_m + SIGMAS * sigma_m
-    is_known = np.isfinite(apart_m) & evidence.counts(HEIGHT)
+    is_known = np.isfinite(apart_m) & evidence.is_trusted(HEIGHT)
     is_off = is_known & (np.nan_to_num(apart_m) > limit_m)
     if is_off.any():
         yield messages.exposures_at_other_heights(
@@ -360,7 +360,7 @@ def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     aircraft's attitude that is not the events' own.
     """
     shots = evidence.channel
-    attitude = evidence.own.get(ATTITUDE)
+    attitude = evidence.log_roles.get(ATTITUDE)
     if attitude is None or is_of_gimbal(attitude.source.message):
         return
     if shots.source.kind not in _OF_AIRCRAFT:
@@ -384,7 +384,7 @@ def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:
         shots.get("lat_rad"),
     ).tilt_rad
     limit_deg = TILT_NOISE_DEG + SIGMAS * np.degrees(np.nan_to_num(sigma_rad))
-    is_known = np.isfinite(tilt_deg) & evidence.counts(ATTITUDE)
+    is_known = np.isfinite(tilt_deg) & evidence.is_trusted(ATTITUDE)
     is_off = is_known & (np.nan_to_num(tilt_deg) > limit_deg)
     if is_off.any():
         yield messages.exposures_tilted_otherwise(

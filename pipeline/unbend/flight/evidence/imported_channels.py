@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.contradictions import FEWEST_SAMPLES, own_contradictions
+from unbend.flight.evidence.contradictions import FEWEST_SAMPLES, steps_and_poor_accuracy
 from unbend.flight.evidence.source_differences import source_difference
 from unbend.flight.evidence.sources import (
     SourcePath,
@@ -19,8 +19,8 @@ from unbend.flight.evidence.stretches import (
     HEIGHT,
     POSITION,
     Stretch,
-    covered,
-    merged,
+    in_any_stretch,
+    joined_stretches,
     runs,
     stretch_of_run,
 )
@@ -52,7 +52,9 @@ def contradictions_of_import(
         if len(with_known_places) <= FEWEST_SAMPLES:
             continue
         log_suspects = [stretch for stretch in suspect_in_log if stretch.quantity == quantity]
-        for stretch in merged(_contradictions_in(quantity, with_known_places, roles, log_suspects)):
+        for stretch in joined_stretches(
+            _contradictions_in(quantity, with_known_places, roles, log_suspects)
+        ):
             if not _explained_by_sigma(stretch, with_known_places, quantity):
                 suspect.append(stretch)
     return tuple(suspect)
@@ -72,7 +74,7 @@ def _contradictions_in(
     path = source_path(_without_sigmas(imported), quantity, with_velocity)
     stretches: list[Stretch] = []
     if imported.rate_hz >= _SLOWEST_HZ:
-        stretches += own_contradictions(path, quantity)
+        stretches += steps_and_poor_accuracy(path, quantity)
     if quantity in roles:
         log = with_places(roles[quantity], quantity)
         if len(log) > FEWEST_SAMPLES:
@@ -120,7 +122,7 @@ def _departures_from_log(
     if quantity == POSITION:
         velocity = velocity_at(with_velocity, quantity, channel.time_ns)
     difference = source_difference(log, with_steps, quantity, velocity)
-    is_suspect = covered(suspect_in_log, channel.time_ns)
+    is_suspect = in_any_stretch(suspect_in_log, channel.time_ns)
     off_m = np.where(is_suspect, 0.0, np.nan_to_num(difference.off_m))
     limit_m = np.maximum(difference.limit_m, LEAST_M[quantity])
     stretches: list[Stretch] = []

@@ -33,7 +33,7 @@ ONE_SIGMA_OF_GATE = 0.2  # taken for the innovation where none is logged
 # 0.110 and 0.085 deg about a level axis, 0.38 and 0.33 deg about the vertical one.
 LEAST_TILT_RAD = np.radians(0.1)
 LEAST_YAW_RAD = np.radians(0.36)
-STEEPEST_DIP = 6.0  # tangent; nearer to a magnetic pole no compass is used
+LARGEST_DIP_TANGENT = 6.0  # tangent; nearer to a magnetic pole no compass is used
 
 RANGE_ERROR_M = 3.0  # of a receiver without corrections, which its HDOP multiplies
 HORIZONTAL_RANGES = 0.5**0.5  # range errors for each HDOP, of one horizontal axis
@@ -173,7 +173,7 @@ class LogAccuracy:
         tilt = np.hypot(LEAST_TILT_RAD, GATE_SIGMAS * TILT_RAD * gates)
         latitude = np.abs(np.nan_to_num(lat_rad))
         dipole = 2.0 * np.tan(latitude)
-        dip = np.clip(dipole, 0.0, STEEPEST_DIP)
+        dip = np.clip(dipole, 0.0, LARGEST_DIP_TANGENT)
         yaw = np.hypot(LEAST_YAW_RAD, dip * tilt)
         return AttitudeSigmas(tilt, yaw)
 

@@ -218,14 +218,16 @@ def _filling_columns(
     """
     other = replacement.channel
     columns = {name: values[inside] for name, values in other.columns.items()}
-    columns |= moved(other, inside, replacement.offset_m, height_column)
+    columns |= moved_columns(other, inside, replacement.offset_m, height_column)
     unknown = np.full(np.count_nonzero(inside), np.nan)
     reported_m = np.nan_to_num(columns.get(sigma, unknown))
     columns[sigma] = np.hypot(reported_m, replacement.spread_m)
     return columns
 
 
-def moved(channel: Channel, rows: Mask, by_m: Array, into_column: str | None) -> dict[str, Array]:
+def moved_columns(
+    channel: Channel, rows: Mask, by_m: Array, into_column: str | None
+) -> dict[str, Array]:
     """Columns of some rows of a channel, moved by (2,) metres north and east or (1,) up.
 
     A height is read from the channel's own height column and returned as ``into_column``, the

@@ -11,7 +11,7 @@ from unbend.flight.evidence.sources import (
     SOURCE_GAP_S,
     SourcePath,
     is_receiver,
-    metres,
+    north_east_m,
     places_of,
 )
 from unbend.flight.evidence.stretches import HEIGHT, POSITION, Run, runs
@@ -163,7 +163,7 @@ def _apart_with_lag(source: Channel, other: SourcePath, quantity: str) -> Array:
     components = [interpolate(placed, name, time_ns, gap_s) for name in columns]
     other_places = places_of(other.channel, quantity)
     apart = np.stack(components, axis=1) - other_places
-    apart_m = apart if quantity == HEIGHT else metres(apart, other_places[:, 0])
+    apart_m = apart if quantity == HEIGHT else north_east_m(apart, other_places[:, 0])
     return np.asarray(apart_m + other.stepped_m)
 
 

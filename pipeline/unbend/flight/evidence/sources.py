@@ -77,7 +77,7 @@ def moves_of(channel: Channel, quantity: str) -> Array:
     changes = np.diff(places, axis=0)
     if quantity == HEIGHT:
         return changes
-    return metres(changes, places[1:, 0])
+    return north_east_m(changes, places[1:, 0])
 
 
 def with_places(channel: Channel, quantity: str) -> Channel:
@@ -90,7 +90,7 @@ def with_places(channel: Channel, quantity: str) -> Channel:
     return channel if is_known.all() else channel.rows(is_known)
 
 
-def metres(change: Array, lat_rad: Array) -> Array:
+def north_east_m(change: Array, lat_rad: Array) -> Array:
     """(n, 2) metres north and east of (n, 2) changes of latitude and longitude [rad]."""
     north = change[:, 0]
     east = wrapped(change[:, 1]) * np.cos(lat_rad)

@@ -49,7 +49,7 @@ class Stretch:
         return self.begin_ns <= other.end_ns and other.begin_ns <= self.end_ns
 
 
-def covered(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
+def in_any_stretch(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
     """Which instants lie in any of several stretches."""
     inside = np.zeros(time_ns.shape, np.bool_)
     for stretch in stretches:
@@ -57,7 +57,7 @@ def covered(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
     return inside
 
 
-def merged(stretches: Sequence[Stretch]) -> list[Stretch]:
+def joined_stretches(stretches: Sequence[Stretch]) -> list[Stretch]:
     """Stretches of one quantity, of which those less than a second apart are joined.
 
     A joined stretch keeps up to three of the reasons.
