@@ -64,7 +64,8 @@ def utc_of_gps(week: ArrayLike, seconds: ArrayLike) -> TimeArray:
     fraction_ns = np.rint((seconds_of_week - whole_seconds) * 1e9).astype(np.int64)
     gps_ns = weeks_ns + whole_seconds.astype(np.int64) * NANOSECONDS_PER_SECOND + fraction_ns
     # The last leap second that has come; before 1980 the first entry, which is 0 s.
-    row = np.maximum(np.searchsorted(_LEAP_GPS_NS, gps_ns, side="right") - 1, 0)
+    last_before = np.searchsorted(_LEAP_GPS_NS, gps_ns, side="right") - 1
+    row = np.maximum(last_before, 0)
     utc: TimeArray = gps_ns + UNIX_NS_OF_GPS_EPOCH - _LEAP_SECONDS[row] * NANOSECONDS_PER_SECOND
     return np.asarray(utc, np.int64)
 
@@ -91,7 +92,8 @@ def later_by_rollovers(utc_ns: TimeArray, rollovers: int, *, from_gps_week: bool
 
 def _leap_seconds_at(utc_ns: TimeArray) -> Integers:
     """(n,) GPS time minus UTC [s] at times [Unix ns]; 0 before 1980."""
-    row = np.maximum(np.searchsorted(_LEAP_UTC_NS, utc_ns, side="right") - 1, 0)
+    last_before = np.searchsorted(_LEAP_UTC_NS, utc_ns, side="right") - 1
+    row = np.maximum(last_before, 0)
     return np.asarray(_LEAP_SECONDS[row], np.int64)
 
 

@@ -158,7 +158,7 @@ def _sigmas_of_samples(
     mount: Mount,
     accuracy: LogAccuracy,
 ) -> _SampleSigmas:
-    """The sigmas of position, height and attitude that the log or, of the attitude, the mount states."""
+    """The sigmas of positions and heights by the log, and of attitudes by the mount or the log."""
     return _SampleSigmas(
         position=accuracy.positions(roles["position"], time_ns),
         height_m=accuracy.positions(roles["height"], time_ns).height_m,
