@@ -162,9 +162,9 @@ def _landed_of(channel: Channel) -> Array | None:
 
 
 def _landed_by_texts(channel: Channel) -> Array | None:
-    """(n,) by the last landing event in an autopilot's texts: 1 landed, 0 not; NaN before the first.
+    """(n,) by the last landing event of an autopilot's texts: 1 landed, 0 not.
 
-    None if there is no such event.
+    NaN before the first such event. None if there is none.
     """
     landed = np.full(len(channel), np.nan)
     last_event = np.nan
@@ -250,7 +250,7 @@ class Takeoff:
 
 
 class LoggedPath(NamedTuple):
-    """(n,) times [Unix ns], latitudes and longitudes [rad], heights above sea level [m] of a log."""
+    """(n,) times [Unix ns], latitudes, longitudes [rad], heights above sea level [m] of a log."""
 
     time_ns: TimeArray
     latitude_rad: Array

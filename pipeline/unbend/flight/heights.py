@@ -99,7 +99,7 @@ def height_system(
 
 
 def _without_log(stated_undulation_m: float | None, geoid: GeoidGrid | None) -> HeightSystem:
-    """The height system by the mission file, else by a geoid; of unknown undulation without both."""
+    """The height system by the mission file, else by a geoid; without both it is unknown."""
     if stated_undulation_m is not None:
         source = "mission.undulation_m"
     elif geoid is not None:
@@ -165,7 +165,7 @@ def _undulation_of_grid(geoid: GeoidGrid | None, channel: Channel) -> Array:
 
 
 def _logged_home(position: Channel) -> tuple[float | None, Notes]:
-    """The take-off height above sea level [m]: a position's height above sea level minus above home.
+    """The take-off height [m]: a position's height above sea level minus that above home.
 
     None if it is unknown, was not set in the whole log, or changes by more than `STEADY_HOME_M`.
     """

@@ -114,7 +114,7 @@ def _without_ground_soak(
 
 
 def _is_above_level(sensor: SensorSamples) -> Mask:
-    """(n,) True for readings `LEVEL_M` or more above the lowest accepted one, or of unknown height."""
+    """(n,) True for readings of unknown height, or `LEVEL_M` or more above the lowest accepted."""
     lowest_m = np.min(sensor.h_m[sensor.accepted], initial=np.inf)
     return np.asarray(~(sensor.h_m < lowest_m + LEVEL_M))
 
@@ -122,7 +122,7 @@ def _is_above_level(sensor: SensorSamples) -> Mask:
 def _is_fused(height: Channel) -> bool:
     """Whether a height is that of a filter: a channel of a log that does not offer this role.
 
-    It plays the role only if no receiver gives a height. Channels without roles are not of a log.
+    It has the role only if no receiver gives a height. A channel without any roles does not count.
     """
     return bool(height.roles) and "height" not in height.roles
 
