@@ -310,7 +310,7 @@ def ground_shot_notes(
     message = messages.exposures_on_ground(
         names=names,
         measured=sum(name in observed for name in names),
-        most=2 * len(names) > int(np.count_nonzero(stations.ok)),
+        are_most=2 * len(names) > int(np.count_nonzero(stations.ok)),
     )
     return (message,)
 

@@ -151,7 +151,7 @@ def _with_two_heights(
             rows=rows,
             stated_m=stated_m,
             own_m=logged_m,
-            grave=_is_grave(stated_m - logged_m),
+            is_grave=_is_grave(stated_m - logged_m),
         )
         return system, (differs,)
     return system, ()
@@ -231,7 +231,7 @@ def undulation_notes(
         off_m=off_m,
         egm96_m=float(np.median(egm96_m)),
         other_sign_off_m=other_sign_off_m if other_sign_fits else None,
-        grave=_is_grave(off_m),
+        is_grave=_is_grave(off_m),
     )
 
 

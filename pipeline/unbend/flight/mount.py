@@ -216,7 +216,7 @@ def gimbal_notes(
             attitude=attitude.name,
             from_forward_deg=from_forward_deg,
             from_nadir_deg=_angle_deg(np.median(cosines)),
-            far=from_forward_deg > _LARGEST_AXIS_ANGLE_DEG,
+            is_far=from_forward_deg > _LARGEST_AXIS_ANGLE_DEG,
         )
 
 

@@ -110,16 +110,18 @@ def _named_but_absent(
         columns = list(named_channel.columns)
         similar = []
     why = messages.why_channel_is_missing(
-        name=name, needed=ROLE_COLUMNS[role], columns=columns, near=similar
+        name=name, needed=ROLE_COLUMNS[role], columns=columns, similar=similar
     )
     if role in _REQUIRED:
         also_missing = [other for other in absent if other != name]
         raise messages.required_channel_missing(
-            role=role, why=why, able=candidates, also_missing=also_missing
+            role=role, why=why, candidates=candidates, also_missing=also_missing
         )
     has_board = columns is not None and "board_temperature_k" in columns
     can_use_board = has_board and role == "temperature"
-    return messages.named_channel_missing(role=role, why=why, able=candidates, board=can_use_board)
+    return messages.named_channel_missing(
+        role=role, why=why, candidates=candidates, can_use_board=can_use_board
+    )
 
 
 def _refuse_one_sensor_twice(filled: Mapping[str, Channel]) -> None:

@@ -405,8 +405,8 @@ def receiver_silences(receiver: Channel, while_on: Channel, quantity: str) -> li
         end_ns = int(edges_ns[row + 1])
         lasts_s = (end_ns - begin_ns) / SECOND
         first, last = np.searchsorted(while_on.time_ns, [begin_ns, end_ns]).tolist()
-        usual_samples = while_on.rate_hz * (end_ns - begin_ns) / SECOND
-        goes_on = last - first > _SHARE_PRESENT * usual_samples
+        enough_samples = _SHARE_PRESENT * while_on.rate_hz * (end_ns - begin_ns) / SECOND
+        goes_on = last - first > enough_samples
         if goes_on:
             reason = f"{receiver.name} has no fix for {lasts_s:.0f} s"
             after_fix_ns = begin_ns + SECOND // 2  # the fix before the silence is not suspect
