@@ -23,7 +23,7 @@ from unbend.flight.evidence.stretches import (
     POSITION,
     Stretch,
     flag_suspect,
-    merged,
+    joined_stretches,
     runs,
 )
 
@@ -337,7 +337,7 @@ def test_reasons_of_stretches_that_touch_are_joined():
     first = Stretch(0, 10, POSITION, "a", 3.0)
     second = Stretch(5, 20, POSITION, "b", np.nan)
     later = Stretch(10 * NS_PER_S, 11 * NS_PER_S, POSITION, "c")
-    joined = merged([later, second, first])
+    joined = joined_stretches([later, second, first])
     assert joined == [replace(first, end_ns=20, reason="a; b"), later]
 
 

@@ -58,7 +58,7 @@ def findings(events, roles=ROLES, delay_s=0.0, **changes):
         channel=events,
         time_ns=events.time_ns + instants(delay_s),
         roles=roles,
-        own=roles,
+        log_roles=roles,
         accuracy=LogAccuracy(GPS),
         suspect=(),
         lever_arm_m=0.0,

@@ -14,7 +14,7 @@ from unbend.flight.ground_times import (
     takeoff_of,
     times_on_the_ground,
 )
-from unbend.flight.heights import height_system, known_home_m, with_begin_of_log
+from unbend.flight.heights import height_system, required_home_m, with_begin_of_log
 
 NAN = float("nan")
 PLACE = {"lat_rad": 0.8, "lon_rad": 0.15}
@@ -47,9 +47,9 @@ def test_a_log_without_one_home_proposes_where_it_begins():
     assert note.code == "HEIGHT-HOME"
     assert begun.begin_h_msl_m == pytest.approx(400.0)
     with refused("HEIGHT-REFERENCE", MissionError, remedy="write ground.home_h_msl_m: 400.0"):
-        known_home_m(begun)
+        required_home_m(begun)
     with refused("HEIGHT-REFERENCE", MissionError) as refusal:
-        known_home_m(system)
+        required_home_m(system)
     assert "ground.home_h_msl_m" in refusal.value.remedy
     assert "400" not in refusal.value.remedy
     with_home, _ = height_system(roles, None, stated_home_m=410.0)

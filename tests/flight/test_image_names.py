@@ -7,7 +7,12 @@ from tests.flight.made_channels import EARTH_M, counted, image_names, instants
 from tests.helpers import channel, refused
 from unbend.errors import MissionError
 from unbend.flight.exposures import Events, span_notes
-from unbend.flight.image_names import other_names, proposal, refuse_other_names, renamed
+from unbend.flight.image_names import (
+    images_by_name,
+    propose_differences,
+    refuse_other_names,
+    renamed_like_images,
+)
 
 
 @pytest.mark.parametrize(
@@ -26,13 +31,13 @@ from unbend.flight.image_names import other_names, proposal, refuse_other_names,
 )
 def test_each_difference_matches_and_is_proposed(images, logged, differences):
     matches = dict(zip(logged, images, strict=True))
-    assert other_names(images, logged, differences) == matches
-    text = proposal(images, logged)
+    assert images_by_name(images, logged, differences) == matches
+    text = propose_differences(images, logged)
     assert text.startswith("2 of them")
     assert f"[{', '.join(differences)}]" in text
     for left_out in differences:
         fewer = [difference for difference in differences if difference != left_out]
-        assert other_names(images, logged, fewer) == {}
+        assert images_by_name(images, logged, fewer) == {}
 
 
 @pytest.mark.parametrize(
@@ -45,13 +50,13 @@ def test_each_difference_matches_and_is_proposed(images, logged, differences):
     ],
 )
 def test_two_names_that_become_one_match_nothing(images, logged, difference):
-    assert other_names(images, logged, [difference]) == {}
+    assert images_by_name(images, logged, [difference]) == {}
 
 
 def test_names_change_only_where_that_is_stated():
     names = image_names("dsc1", "other", "")
-    assert renamed(names, ["DSC1"], [], "events") == (names, ())
-    changed, notes = renamed(names, ["DSC1"], ["case"], "events")
+    assert renamed_like_images(names, ["DSC1"], [], "events") == (names, ())
+    changed, notes = renamed_like_images(names, ["DSC1"], ["case"], "events")
     assert changed.tolist() == ["DSC1", "other", ""]
     assert counted(notes) == [("note", "IMAGES-RENAMED", 1)]
 
@@ -68,11 +73,11 @@ def test_composed_and_decomposed_names_are_the_same_image(of_events, observed):
     """One folder on macOS, one elsewhere; the observations' spelling stays."""
     names = image_names(of_events, "b.jpg")
     images = [observed, "b.jpg"]
-    changed, notes = renamed(names, images, [], "events")
+    changed, notes = renamed_like_images(names, images, [], "events")
     assert changed.tolist() == images
     assert counted(notes) == [("note", "IMAGES-RENAMED", 1)]
     assert "a\\xcc\\x88" in notes[0].what
-    assert renamed(changed, images, [], "events") == (changed, ())
+    assert renamed_like_images(changed, images, [], "events") == (changed, ())
 
 
 def test_names_that_look_alike_are_shown_with_their_bytes():

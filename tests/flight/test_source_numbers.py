@@ -7,15 +7,15 @@ import pytest
 
 from tests.flight.made_channels import EARTH_M, instants, standard_pressure_pa
 from tests.helpers import NS_PER_S, channel
-from unbend.flight.evidence.contradictions import silences
+from unbend.flight.evidence.contradictions import receiver_silences
 from unbend.flight.evidence.source_differences import (
     air_change_m,
     height_of_pressure,
     source_difference,
 )
 from unbend.flight.evidence.sources import (
-    metres,
     moves_of,
+    north_east_m,
     source_path,
     velocity_at,
 )
@@ -60,7 +60,7 @@ def test_metres_of_a_change_are_shorter_along_a_parallel():
         ]
     )
 
-    moved_m = metres(change, np.full(2, math.pi / 3.0))
+    moved_m = north_east_m(change, np.full(2, math.pi / 3.0))
 
     expected_m = [[63.71, 31.855], [-127.42, -31.855]]
     np.testing.assert_allclose(moved_m, expected_m, rtol=1e-6)
@@ -272,11 +272,11 @@ def test_a_receiver_is_silent_for_more_than_two_seconds_while_another_channel_go
     goes_on = channel("IMU", np.arange(0.0, 40.0, 0.1))
     stops_too = channel("IMU", times_s)
 
-    stretches = silences(fixes, goes_on, HEIGHT)
+    stretches = receiver_silences(fixes, goes_on, HEIGHT)
 
     ends_s = []
     for stretch in stretches:
         assert stretch.reason == "GPS[0] has no fix for 2 s"
         ends_s += [stretch.begin_ns / NS_PER_S, stretch.end_ns / NS_PER_S]
     assert ends_s == silent_s
-    assert silences(fixes, stops_too, HEIGHT) == []
+    assert receiver_silences(fixes, stops_too, HEIGHT) == []

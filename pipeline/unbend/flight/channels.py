@@ -1,4 +1,4 @@
-"""What a log holds, as columns in SI: the only thing that leaves `ingest`."""
+"""The contents of a log as columns in SI units: the only thing that leaves `ingest`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -28,11 +28,12 @@ ROLE_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "cabin_humidity": ("relative_humidity",),
     "events": ("event_index",),
 }
-"""Roles a channel can play, and the columns it needs for that."""
+"""Roles that a channel can play, and the columns that it needs for each."""
 
-_INTERVALS_OF_A_GAP = 3.0  # usual ones: a channel that misses two samples has a gap
+_INTERVALS_OF_A_GAP = 3.0  # median intervals: a channel that misses two samples has a gap
 
-_OF_HEALTH = {
+# Columns that show the state of the autopilot and its filter, and measure neither flight nor air.
+_HEALTH_COLUMNS = {
     "innovation_velocity",
     "innovation_position",
     "innovation_height",
@@ -53,7 +54,7 @@ _OF_HEALTH = {
 
 
 def plain_name(message: str) -> str:
-    """The name of a message without cases, underscores and paths: PX4 writes it in two ways.
+    """The name of a message in capitals, without underscores and path: PX4 writes it in two ways.
 
     >>> plain_name("px4_msgs/GimbalV1"), plain_name("gimbal_v1")
     ('GIMBALV1', 'GIMBALV1')
@@ -72,7 +73,7 @@ class Source:
 
     @property
     def kind(self) -> str:
-        """The message, without the spelling of the format.
+        """The `plain_name` of the message, which is the same in all formats.
 
         >>> Source("px4_msgs/CameraCapture").kind, Source("camera_capture").kind
         ('CAMERACAPTURE', 'CAMERACAPTURE')
@@ -93,9 +94,9 @@ class Channel:
     rank : the smaller, the sooner it is chosen among candidates for a role.
     labels : strings that belong to the samples, such as image names.
     logged_units : by column, the unit of the log that was converted; SI where a column has none.
-    rejected : by column, (n,) why values are unknown that were impossible; 0 elsewhere. Counted in
-        the ledger when the log was read.
-    removed : samples that the channel no longer holds, and why.
+    rejected : by column, (n,) the reason why an impossible value was replaced by NaN; 0 elsewhere.
+        Counted in the ledger when the log was read.
+    removed : samples that were taken out of the channel, and why.
 
     Columns in use: lat_rad, lon_rad, h_msl_m, h_gnss_m (above sea level, by the receiver alone),
     h_ellipsoid_m, h_home_m, east_m, north_m, up_m (local); v_north_m_s, v_east_m_s, v_down_m_s;
@@ -110,11 +111,11 @@ class Channel:
     (of one horizontal axis), sigma_v_m, sigma_speed_m_s; gps_week (may count modulo 1024) and
     gps_week_s, the epoch of the row in GPS time. Of a filter: innovation_velocity,
     innovation_position, innovation_height, innovation_compass (largest innovation over the gate:
-    above 1 it is rejected); filter_flags, whose bits 0 to 9 are MAVLink's EKF_STATUS_FLAGS in all
-    formats, 10 never healthy, 15 GPS glitch, 18 dead reckoning; filter_timeouts and filter_faults
+    above 1 it is rejected); filter_flags (bits 0 to 9 are MAVLink's EKF_STATUS_FLAGS in all
+    formats, 10 never healthy, 15 GPS glitch, 18 dead reckoning); filter_timeouts and filter_faults
     (bits of ArduPilot's XKF4.TS and FS); vibration_m_s2 (of the worst axis), clipping (count since
-    boot). What the autopilot says is a channel without columns, with the label ``text``, of which
-    rows of one time are the lines of one text.
+    boot). The texts of an autopilot are a channel without columns: the label ``text`` of a row has
+    all lines of its time.
     """
 
     name: str
@@ -155,20 +156,23 @@ class Channel:
 
     @property
     def is_evidence(self) -> bool:
-        """Whether it only says how good others are: health of a filter, texts."""
-        return not self.roles and self.columns.keys() <= _OF_HEALTH
+        """Whether the channel only shows how good others are: health of a filter, texts."""
+        return not self.roles and self.columns.keys() <= _HEALTH_COLUMNS
 
     def get(self, column: str) -> Array:
-        """A column; NaN where the channel has none of that name."""
+        """(n,) values of a column; all NaN if the channel does not have it."""
         return self.columns.get(column, np.full(len(self), np.nan))
 
     def fits_role(self, role: str) -> bool:
-        """Whether the columns that a role needs are there."""
+        """Whether the channel has all columns that a role needs (`ROLE_COLUMNS`)."""
         return all(column in self.columns for column in ROLE_COLUMNS[role])
 
     @property
     def height_column(self) -> str | None:
-        """The column of heights above one surface, sea level before ellipsoid; None without."""
+        """The name of the column of heights: above sea level if any is known, else ellipsoidal.
+
+        None if the channel has neither.
+        """
         if np.isfinite(self.columns.get("h_msl_m", np.nan)).any():
             return "h_msl_m"
         if "h_ellipsoid_m" in self.columns:
@@ -180,23 +184,24 @@ class Channel:
         """Median sampling rate [1/s]; 0 with fewer than two samples."""
         if len(self) < 2:
             return 0.0
-        return 1.0 / self._usual_interval_s
+        return 1.0 / self._median_interval_s
 
     def gap_limit_s(self, max_gap_s: float = 1.0) -> float:
-        """The longest interval between two samples that is no gap [s].
+        """The longest interval between two samples that does not count as a gap [s].
 
-        ``max_gap_s``, or three of the channel's usual intervals where it is slower than that.
+        That is ``max_gap_s``, or three median intervals of the channel if those are longer.
         """
         if len(self) < 2:
             return max_gap_s
-        return max(max_gap_s, _INTERVALS_OF_A_GAP * self._usual_interval_s)
+        return max(max_gap_s, _INTERVALS_OF_A_GAP * self._median_interval_s)
 
     @cached_property
-    def _usual_interval_s(self) -> float:
+    def _median_interval_s(self) -> float:
+        """The median interval between samples [s], of a channel with two samples or more."""
         return float(np.median(np.diff(self.time_ns))) * 1e-9
 
     def rows(self, keep: Mask) -> "Channel":
-        """The samples that a mask keeps."""
+        """The channel with only the samples for which ``keep`` (n,) is True."""
         return replace(
             self,
             time_ns=self.time_ns[keep],
@@ -207,21 +212,28 @@ class Channel:
         )
 
     def without(self, reasons: Reasons) -> "Channel":
-        """The channel without the samples that have a reason, which go to ``removed``."""
-        gone = reasons != Reason.USED
-        if not gone.any():
-            return self
-        removed = self.removed.and_also(self.time_ns[gone], reasons[gone])
-        return replace(self.rows(~gone), removed=removed)
+        """The channel without the samples that are not to be used; those go to ``removed``.
 
-    def with_impossible(self, column: str, rows: Mask, reason: Reason) -> "Channel":
-        """The channel with some values of a column unknown (NaN), and why."""
-        values = np.where(rows, np.nan, self.columns[column])
+        ``reasons`` : (n,) `Reason` of each sample; samples of `Reason.USED` stay.
+        """
+        is_removed = reasons != Reason.USED
+        if not is_removed.any():
+            return self
+        removed = self.removed.and_also(self.time_ns[is_removed], reasons[is_removed])
+        return replace(self.rows(~is_removed), removed=removed)
+
+    def with_impossible(self, column: str, is_impossible: Mask, reason: Reason) -> "Channel":
+        """The channel with the impossible values of a column replaced by NaN.
+
+        ``rejected`` gets the reason for them; a value that has a reason keeps it.
+        """
+        values = np.where(is_impossible, np.nan, self.columns[column])
         earlier_reasons = self.rejected.get(column, np.zeros(len(self), np.uint8))
+        reasons = with_reason(earlier_reasons, is_impossible, reason)
         return replace(
             self,
             columns=dict(self.columns) | {column: values},
-            rejected=dict(self.rejected) | {column: with_reason(earlier_reasons, rows, reason)},
+            rejected=dict(self.rejected) | {column: reasons},
         )
 
     def to_pandas(self) -> Any:

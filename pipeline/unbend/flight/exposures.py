@@ -1,4 +1,4 @@
-"""Camera pulses become exposures: their channel, the names of their images, and lost pulses."""
+"""Exposures from camera events: their channel, the names of their images, and lost pulses."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -20,10 +20,11 @@ from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Names, whole_n
 class Events:
     """Exposures of one camera: (m,) names, times (UTC, ns) and, one or (m,), their sigma [s].
 
-    A name is "" where only the images themselves give it. ``index`` (m,) : the numbers in the log,
-    if they rise from the first event to the last; ``lost`` : how many numbers have no event.
-    ``counts`` : whether the numbers of a file only count its rows: "always" where it has none of
-    its own; "maybe" where they begin at 1 and skip none, as in a file renumbered after a loss.
+    A name is "" if the files of the images give it later. ``index`` : (m,) numbers of the events in
+    the log; None if they do not rise from the first event to the last. ``lost`` : how many numbers
+    have no event. ``counts`` : whether the numbers of a file may be mere row numbers, which do not
+    show lost events: "always" if it has none of its own; "maybe" if they begin at 1 and skip none,
+    as in a file renumbered after a loss; else "no".
     """
 
     camera: str
@@ -37,7 +38,7 @@ class Events:
 
 @dataclass(frozen=True)
 class ExposureDelay:
-    """What is added to times of events, positive where the shutter opens later, and its sigma."""
+    """Time from a logged event to the opening of the shutter [s], and its sigma."""
 
     seconds: float
     sigma_s: float = 0.0
@@ -53,9 +54,9 @@ def events_of_channel(
 ) -> tuple[Events, Notes]:
     """Exposures of an event channel, named by a pattern, and a loss for each power-up with gaps.
 
-    In the pattern ``{index}`` stands for the number in the log, which may count modulo 65536, and
-    ``{n}`` for the number of the event from 1. A pattern with ``*`` leaves the names empty: the
-    images themselves give them. Numbers that the log skips are pulses that were lost.
+    In the pattern ``{index}`` is the number in the log, which may count modulo 65536, and ``{n}``
+    the number of the event from 1. A pattern with ``*`` leaves the names empty: the files of the
+    images give them later. Numbers that the log skips are lost pulses.
     """
     index = whole_numbers(channel["event_index"], -_MOST_INDEX, _MOST_INDEX)
     if "*" in pattern:
@@ -85,7 +86,10 @@ def events_of_table(
     camera: str,
     delay: ExposureDelay,
 ) -> Events:
-    """Exposures of one camera from a table, ``delay`` later."""
+    """Exposures of one camera from the (n,) columns of a table, with a delay added to their times.
+
+    ``camera_of`` is the column with the camera of each row.
+    """
     rows = camera_of == camera
     return Events(
         camera,
@@ -95,33 +99,34 @@ def events_of_table(
     )
 
 
-_MOST_INDEX = 1 << 53  # of an exposure: beyond, float64 has not every integer
-_COUNT_ROUND = 1 << 16  # counts of 16 bits run over here
-_COUNT_NEAR = 1 << 12  # a count that goes on farther than this from zero has begun anew
+_MOST_INDEX = 1 << 53  # float64 has not every larger integer
+_COUNT_ROUND = 1 << 16  # a counter of 16 bits starts at 0 again here
+# A counter that overflows skips fewer numbers than this; a larger step is a reset of the counter.
+_MOST_SKIPPED = 1 << 12
 
 
 def unwrapped_numbers(index: Integers) -> Integers:
-    """Image numbers of one power-up that go on beyond 65535, where the log begins at 0 again.
+    """Image numbers that go on after 65535, where the 16-bit counter of the log starts at 0 again.
 
-    ``index``: (n,) 16-bit numbers of the log, in the order of their time.
+    ``index``: (n,) numbers of one power-up in the log, in the order of their time.
 
     >>> unwrapped_numbers(np.array([65534, 65535, 1, 2]))
     array([65534, 65535, 65537, 65538])
     """
     step = np.diff(index)
-    # a large step back is from 65535 to 0; a smaller one is of a count that was set to zero
-    ran_over = (step < 0) & (step + _COUNT_ROUND < _COUNT_NEAR)
-    # a large step forward is of an image that was logged after its successor, which ran over
-    went_back = (step > 0) & (_COUNT_ROUND - step < _COUNT_NEAR)
+    # A step back by almost 65536 is an overflow; a smaller one is a reset of the counter.
+    ran_over = (step < 0) & (step + _COUNT_ROUND < _MOST_SKIPPED)
+    # A step forward by almost 65536: a number from before the overflow was logged after it.
+    went_back = (step > 0) & (_COUNT_ROUND - step < _MOST_SKIPPED)
     rounds = np.cumsum(ran_over.astype(np.int64) - went_back)
     return np.asarray(index + _COUNT_ROUND * np.append(0, rounds), np.int64)
 
 
 @dataclass(frozen=True)
 class _SkippedNumbers:
-    """Numbers of one power-up, from ``first`` to ``last``, of which some have no event.
+    """The gaps in the unwrapped numbers of one power-up, which go from ``first`` to ``last``.
 
-    ``gaps`` are the first and the last number of each gap.
+    ``gaps`` are the first and the last missing number of each gap.
     """
 
     boot: int
@@ -135,7 +140,7 @@ class _SkippedNumbers:
         return sum(end - begin + 1 for begin, end in self.gaps)
 
     def message(self, channel: Channel) -> Message:
-        """The loss to report, which lists the first gaps."""
+        """The loss to report, with a list of the first gaps."""
         listed: list[str] = []
         for begin, end in self.gaps:
             first = _number_as_logged(begin)
@@ -154,11 +159,14 @@ class _SkippedNumbers:
         )
 
 
-_GAPS_LISTED = 4
+_GAPS_LISTED = 4  # in a message
 
 
 def _skipped_numbers(channel: Channel, index: Integers) -> list[_SkippedNumbers]:
-    """For each power-up with gaps in its numbers, which numbers have no event."""
+    """The numbers without event, one entry for each power-up that has gaps.
+
+    ``index``: (n,) numbers of the events of the channel.
+    """
     skipped = []
     for boot in np.unique(channel.boot).tolist():
         numbers_of_boot = np.unique(unwrapped_numbers(index[channel.boot == boot]))
@@ -174,20 +182,20 @@ def _skipped_numbers(channel: Channel, index: Integers) -> list[_SkippedNumbers]
     return skipped
 
 
-def _number_as_logged(counted: int) -> int:
-    """A number of a count that goes on beyond 16 bits, as the log has it."""
-    return counted % _COUNT_ROUND if counted >= _COUNT_ROUND else counted
+def _number_as_logged(unwrapped: int) -> int:
+    """The 16-bit number in the log of an unwrapped number; numbers below 65536 stay."""
+    return unwrapped % _COUNT_ROUND if unwrapped >= _COUNT_ROUND else unwrapped
 
 
 def _usual_shifts_ns() -> list[int]:
-    """Shifts of clocks [ns], the most usual first, each later and earlier."""
+    """Shifts between two clocks [ns] to try: the most usual first, each with both signs."""
     leap_seconds = 18
     hour = 3600
     quarter = 900
     widest_zone = 14 * hour
     sizes_s = [leap_seconds, *range(hour, widest_zone + 1, hour)]  # hours of time zones
     sizes_s += [24 * hour, 7 * 24 * hour]
-    sizes_s += range(quarter, widest_zone + 1, quarter)  # rarer zones; whole hours twice, no matter
+    sizes_s += range(quarter, widest_zone + 1, quarter)  # rarer zones; whole hours may come twice
     shifts: list[int] = []
     for size_s in sizes_s:
         shifts += [size_s * NANOSECONDS_PER_SECOND, -size_s * NANOSECONDS_PER_SECOND]
@@ -203,11 +211,11 @@ class _Span:
 
     @classmethod
     def of(cls, time_ns: Integers) -> "_Span":
-        """The span of times in rising order, at least one."""
+        """The span of one or more times, in rising order."""
         return cls(int(time_ns[0]), int(time_ns[-1]))
 
     def count_outside(self, time_ns: Integers) -> int:
-        """How many times lie before or after the span."""
+        """How many times are before or after the span."""
         outside = (time_ns < self.first_ns) | (time_ns > self.last_ns)
         return int(np.count_nonzero(outside))
 
@@ -217,13 +225,14 @@ class _Span:
 
 
 def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
-    """Events beyond the time of the flight: a warning, with a shift that would help.
+    """Warn about events before or after the flight, and propose a shift of their times.
 
-    ``position`` has the time of the flight, ``key`` says where those of the events are stated. The
-    shift of `_fitting_shift` is named if it brings more events into the flight. Refuses
-    (MissionError EVENTS-SPAN) events more than half of which lie beyond the flight.
+    ``events`` : of each camera. ``position`` : the channel that gives the time of the flight.
+    ``key`` : where the mission file states the times of the events. A shift is proposed only if it
+    brings more events into the flight. Refuses (MissionError EVENTS-SPAN) if more than half of the
+    events are outside the flight.
     """
-    times = [exposed.time_ns for exposed in events]
+    times = [camera_events.time_ns for camera_events in events]
     time_ns = np.sort(np.concatenate([np.empty(0, np.int64), *times]))
     if time_ns.size == 0 or len(position) == 0:
         return ()
@@ -235,8 +244,10 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
     shift_ns = _fitting_shift(span_of_events, span_of_flight)
     still_beyond = span_of_flight.count_outside(time_ns + shift_ns)
     if still_beyond < beyond:
-        brought = f"{time_ns.size - still_beyond}" if still_beyond else "all"
-        shift_that_fits = f"{shift_ns * 1e-9:+.6g} s would bring {brought} of them into the flight"
+        number_inside = f"{time_ns.size - still_beyond}" if still_beyond else "all"
+        shift_that_fits = (
+            f"{shift_ns * 1e-9:+.6g} s would bring {number_inside} of them into the flight"
+        )
     else:
         shift_that_fits = (
             "neither leap seconds, a time zone, a day nor a week would bring all of them into the "
@@ -257,10 +268,10 @@ def span_notes(events: list[Events], position: Channel, key: str) -> Notes:
 
 
 def _fitting_shift(events: _Span, flight: _Span) -> int:
-    """A shift [ns] that may bring events into the time of a flight.
+    """A shift [ns] to add to the times of events so that they may fit the time of a flight.
 
-    That is the first of the usual shifts (leap seconds, time zones, a day, a week) which brings all
-    of them into it, else the one by which both begin together.
+    That is the first usual shift (leap seconds, time zones, a day, a week) that brings all events
+    into the flight, else the one with which events and flight begin together.
     """
     for shift_ns in _usual_shifts_ns():
         begins_after = events.first_ns + shift_ns >= flight.first_ns
@@ -276,11 +287,14 @@ def ground_shot_notes(
     images: Collection[str],
     evidence: GroundEvidence = NOTHING_SAID,
 ) -> Notes:
-    """Report exposures made while the aircraft stood on the ground, by name: test shots.
+    """Report exposures made while the aircraft was on the ground (test shots), by name.
 
-    * A loss where more than half of all exposures are such: the events are of another time.
-    * Else a warning where some of them are images of the observations.
-    * Else a note.
+    ``images`` : those with observations. The report is
+
+    * a loss if more than half of all usable exposures are on the ground: the events are of another
+      time;
+    * else a warning if some of those on the ground have observations;
+    * else a note.
     """
     height = roles.get("height")
     if height is None or len(stations) == 0:
@@ -296,15 +310,16 @@ def ground_shot_notes(
     message = messages.exposures_on_ground(
         names=names,
         measured=sum(name in observed for name in names),
-        most=2 * len(names) > int(np.count_nonzero(stations.ok)),
+        are_most=2 * len(names) > int(np.count_nonzero(stations.ok)),
     )
     return (message,)
 
 
 def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Channel:
-    """The event channel of a camera: the one that was named, or the only one of the best rank.
+    """The event channel of a camera: the one of this name, or the only one of the best rank.
 
-    Refuses (MissionError EVENTS-CHANNEL) where there is none, or several have that rank.
+    ``name`` : from the mission file; None if it names no channel. Refuses (MissionError
+    EVENTS-CHANNEL) if there is no such channel, or several of the best rank.
     """
     event_channels = [channel for channel in channels if channel.fits_role("events")]
     candidates = event_channels
@@ -319,11 +334,14 @@ def choose_event_channel(channels: tuple[Channel, ...], name: str | None) -> Cha
 
 
 def refuse_repeated_images(events: list[Events]) -> None:
-    """Refuse two exposures of one name: the observations could belong to either."""
+    """Refuse (MissionError EVENTS-REPEATED) exposures that have the same image name.
+
+    ``events`` : of each camera. The observations of such a name could belong to either exposure.
+    """
     if not events:
         return
-    names = np.concatenate([exposed.image for exposed in events])
-    names = names[names != ""]  # where the images themselves give the names later
+    names = np.concatenate([camera_events.image for camera_events in events])
+    names = names[names != ""]  # "" where the files of the images give the names later
     unique, count = np.unique(names.astype(str), return_counts=True)
     repeated = unique[count > 1]
     if repeated.size:

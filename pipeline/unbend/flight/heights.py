@@ -1,4 +1,4 @@
-"""Heights above sea level and above the ellipsoid, each from the other where it must be.
+"""Heights above sea level and above the ellipsoid; one that is not logged follows from the other.
 
 Local positions (motion capture, visual odometry) get a place on the earth, and with it heights.
 """
@@ -21,29 +21,31 @@ STEADY_HOME_M = 2.0  # the take-off height of a flight does not change by more t
 
 LOWEST_GROUND_M = -600.0
 HIGHEST_GROUND_M = 10_000.0
-"""Heights outside this range are no ground heights [m]."""
+"""The range in which ground heights are possible [m]."""
 
 USUAL_GEOID_M = 3.0
+"""EGM96 at 15 minutes and national sea levels usually differ by less than this [m]."""
 LARGEST_GEOID_M = 10.0
-"""EGM96 at 15 minutes and national sea levels differ by less than the first, and by the second
-nowhere [m]."""
+"""They differ by less than this everywhere [m]."""
 
 
 @dataclass(frozen=True)
 class HeightSystem:
     """How heights above sea level and above the ellipsoid of a mission are related.
 
-    Without an undulation and a geoid that is unknown.
+    Without an undulation and a geoid their relation is unknown. Heights of points are above sea
+    level [m].
 
     undulation_m : ellipsoidal height minus height above sea level, the same everywhere.
-    home_h_msl_m : height of the take-off point.
-    geoid : its undulations plus ``offset_m`` (the log's own minus the grid's) hold where
-        ``undulation_m`` is None.
-    source : where the undulation comes from.
-    one_height : the log's height above the ellipsoid is a copy of the other and not used.
-    by_log : the undulation is that of two heights of the log.
-    begin_h_msl_m : where a log without one take-off height begins, if the aircraft stands there;
-        no height counts from it, a refusal proposes it.
+    home_h_msl_m : height of the take-off point; None if unknown.
+    geoid : gives the undulations, with ``offset_m`` added, if ``undulation_m`` is None.
+    offset_m : undulation by the two heights of the log, minus that of the geoid.
+    source : where the undulation comes from, in words.
+    one_height : True if the log's height above the ellipsoid is a copy of that above sea level;
+        it is not used then.
+    by_log : True if the undulation is that of two heights of the log.
+    begin_h_msl_m : height at which the log begins, if the take-off height is unknown and the
+        aircraft is at rest there. It is only proposed to the user, in a refusal.
     """
 
     undulation_m: float | None = None
@@ -56,7 +58,7 @@ class HeightSystem:
     begin_h_msl_m: float | None = None
 
     def undulation(self, lat_rad: Array, lon_rad: Array) -> Array:
-        """(n,) undulation [m] at (n,) places; NaN where unknown, and outside the grid."""
+        """(n,) undulations [m] at places; NaN where unknown, and outside the grid of the geoid."""
         if self.undulation_m is None and self.geoid is not None:
             return self.geoid.undulation(lat_rad, lon_rad) + self.offset_m
         return np.full(np.shape(lat_rad), self.undulation_m, np.float64)
@@ -69,13 +71,14 @@ def height_system(
     *,
     stated_home_m: float | None = None,
 ) -> tuple[HeightSystem, Notes]:
-    """Undulation and take-off height, from the mission file, the log itself or a geoid.
+    """Choose undulation and take-off height from the mission file, the log and a geoid.
 
-    The undulation that counts is that of the mission file, else that of the log, else that of the
-    geoid; the take-off height that counts is that of the mission file, else that of the log.
+    The undulation is that of the mission file, else that of the log, else that of the geoid. The
+    take-off height (home) is that of the mission file, else that of the log.
 
-    A log gives the take-off height if the heights of its position above sea level and above home
-    differ by a constant. Rows with equal heights do not count: there the home is not set yet.
+    ``stated_undulation_m``, ``stated_home_m`` : of the mission file; None if it states none. A log
+    gives the take-off height if the heights of its position above sea level and above home differ
+    by a constant. Rows with equal heights do not count: there the home is not set yet.
     """
     system = _without_log(stated_undulation_m, geoid)
     notes: list[Message] = []
@@ -96,7 +99,7 @@ def height_system(
 
 
 def _without_log(stated_undulation_m: float | None, geoid: GeoidGrid | None) -> HeightSystem:
-    """The height system that the mission file states, else that of a geoid."""
+    """The height system by the mission file, else by a geoid; without both it is unknown."""
     if stated_undulation_m is not None:
         source = "mission.undulation_m"
     elif geoid is not None:
@@ -109,15 +112,15 @@ def _without_log(stated_undulation_m: float | None, geoid: GeoidGrid | None) -> 
 def _with_two_heights(
     system: HeightSystem, height: Channel, logged_undulation: Array
 ) -> tuple[HeightSystem, Notes]:
-    """The height system of a channel with both heights.
+    """Adapt a height system to a log that has both heights, which give an undulation.
 
-    ``logged_undulation`` : the known differences of these heights. ``system`` is that of the
-    mission file, or of a geoid.
+    ``system`` : by the mission file or a geoid. ``logged_undulation`` : (m,) the known differences
+    ellipsoidal minus above sea level, m > 0.
 
-    * All differences are 0: one height is a copy of the other. The system stays, without the
-      channel's height above the ellipsoid; a warning.
-    * The mission file states no undulation: that of the log. With a geoid its undulations, moved by
-      their median difference from those of the log.
+    * All differences are 0: one height is a copy of the other. The ellipsoidal height is not used;
+      a warning.
+    * The mission file states no undulation: it becomes that of the log. A geoid keeps its
+      undulations, plus the median difference of the log's from them.
     * The mission file states one: the system stays; a large difference from the log is reported.
     """
     logged_m = float(np.median(logged_undulation))
@@ -132,12 +135,12 @@ def _with_two_heights(
         )
         return replace(system, one_height=True), (warning,)
     if stated_m is None:
-        apart = height["h_ellipsoid_m"] - height["h_msl_m"]
-        off_grid_m = _median(apart - _undulation_of_grid(system.geoid, height))
+        all_logged_m = height["h_ellipsoid_m"] - height["h_msl_m"]
+        off_grid_m = _median(all_logged_m - _undulation_of_grid(system.geoid, height))
         by_log = replace(
             system,
             undulation_m=logged_m if system.geoid is None else None,
-            offset_m=off_grid_m or 0.0,  # unknown without a geoid, and outside it
+            offset_m=off_grid_m or 0.0,  # None without a geoid, and outside its grid
             source=f"the two heights of {height.name}",
             by_log=True,
         )
@@ -148,23 +151,23 @@ def _with_two_heights(
             rows=rows,
             stated_m=stated_m,
             own_m=logged_m,
-            grave=_is_grave(stated_m - logged_m),
+            is_grave=_is_grave(stated_m - logged_m),
         )
         return system, (differs,)
     return system, ()
 
 
 def _undulation_of_grid(geoid: GeoidGrid | None, channel: Channel) -> Array:
-    """Undulations of a geoid at the places of a channel; NaN without one."""
+    """(n,) undulations [m] of a geoid at the places of a channel; all NaN without a geoid."""
     if geoid is None:
         return np.full(len(channel), np.nan)
     return geoid.undulation(channel["lat_rad"], channel["lon_rad"])
 
 
 def _logged_home(position: Channel) -> tuple[float | None, Notes]:
-    """The take-off height [m] by the heights of a position above sea level and above home.
+    """The take-off height [m]: a position's height above sea level minus that above home.
 
-    None where it is unknown, was never set, or changes.
+    None if it is unknown, was not set in the whole log, or changes by more than `STEADY_HOME_M`.
     """
     h_msl_m = position.get("h_msl_m")
     above_home_m = position.get("h_home_m")
@@ -180,21 +183,21 @@ def _logged_home(position: Channel) -> tuple[float | None, Notes]:
 
 
 def _median(values: Array) -> float | None:
-    """The median of the known values; None without any."""
+    """The median of the known (finite) values; None if all are unknown."""
     return float(np.nanmedian(values)) if np.isfinite(values).any() else None
 
 
 def _is_grave(off_m: float) -> bool:
-    """Whether an undulation is farther off than two sea levels can be."""
+    """Whether an undulation is off by more than two sea levels can differ (`LARGEST_GEOID_M`)."""
     return abs(off_m) > LARGEST_GEOID_M
 
 
 def undulation_notes(
     heights: HeightSystem, stations: Stations, egm96: GeoidGrid
 ) -> Iterator[Message]:
-    """Report which undulation is used at the stations, and if it differs much from EGM96.
+    """Report the undulations used at the stations, and whether they differ much from EGM96.
 
-    Stations outside the geoid, where the undulation is unknown, are reported too.
+    Stations outside the grid of the geoid, where the undulation is unknown, are reported too.
     """
     has_place = np.isfinite(stations.lat_rad + stations.lon_rad)
     undulation_m = heights.undulation(stations.lat_rad[has_place], stations.lon_rad[has_place])
@@ -228,32 +231,33 @@ def undulation_notes(
         off_m=off_m,
         egm96_m=float(np.median(egm96_m)),
         other_sign_off_m=other_sign_off_m if other_sign_fits else None,
-        grave=_is_grave(off_m),
+        is_grave=_is_grave(off_m),
     )
 
 
 def _origin_of_undulation(heights: HeightSystem) -> str:
-    """The key of the mission file that the undulation follows from."""
+    """The key of the mission file that decides on the undulation."""
     if heights.by_log:
         return "log.channels.height"
     return "mission.geoid" if heights.undulation_m is None else "mission.undulation_m"
 
 
 def _used_undulation(heights: HeightSystem, places: Stations, used_m: Array) -> str:
-    """The undulations at (s,) stations in words, from the smallest to the largest.
+    """The smallest and the largest undulation at (s,) stations, in words.
 
-    Those are ``used_m``, but where the two heights of the log give that of the station itself.
+    If the undulation is by the log, that between a station's own two heights counts where both are
+    known; else ``used_m`` (s,).
     """
     shown_m = used_m
     if heights.by_log:
         logged_m = places.h_ellipsoid_m - places.h_msl_m
         shown_m = np.where(np.isfinite(logged_m), logged_m, used_m)
-    ends = dict.fromkeys([f"{shown_m.min():.2f}", f"{shown_m.max():.2f}"])
+    ends = dict.fromkeys([f"{shown_m.min():.2f}", f"{shown_m.max():.2f}"])  # once if equal
     return f"undulation of {' to '.join(ends)} m, by {heights.source}"
 
 
 def _difference(channel: Channel, first: str, second: str) -> Array:
-    """Known differences of two columns; empty where the channel lacks one."""
+    """(m,) known differences, first minus second column; empty if the channel lacks a column."""
     if first not in channel.columns or second not in channel.columns:
         return np.empty(0)
     difference = channel[first] - channel[second]
@@ -263,13 +267,13 @@ def _difference(channel: Channel, first: str, second: str) -> Array:
 def heights_at(
     height: Channel, time_ns: Integers, heights: HeightSystem, max_gap_s: float
 ) -> tuple[Array, Array]:
-    """(n,) heights [m] above sea level and above the ellipsoid at instants [Unix ns].
+    """Heights above sea level (n,) and above the ellipsoid (n,) [m] at instants [Unix ns].
 
-    A height that is not logged follows from the other one by the undulation.
+    A height that is not logged follows from the other one by the undulation. NaN where unknown.
     """
     h_msl = interpolate(height, "h_msl_m", time_ns, max_gap_s)
     h_ellipsoid = interpolate(height, "h_ellipsoid_m", time_ns, max_gap_s)
-    if heights.one_height:  # it is a copy of that above sea level
+    if heights.one_height:  # the logged one is a copy of that above sea level
         h_ellipsoid = np.full(h_msl.shape, np.nan)
     if np.isnan(h_msl).any() or np.isnan(h_ellipsoid).any():
         undulation = _undulation_near(height, time_ns, heights)
@@ -279,23 +283,25 @@ def heights_at(
 
 
 def _undulation_near(height: Channel, time_ns: Integers, heights: HeightSystem) -> Array:
-    """(n,) undulation [m] at the next sample of a channel; NaN where that has no place.
+    """(n,) undulations [m] at instants, by the place of a channel's next sample with a place.
 
-    The next sample is within 0.2 km, where a geoid rises by a centimetre.
+    That sample is within 0.2 km, in which a geoid rises by a centimetre. For instants after the
+    last such sample it is that one. NaN if no sample has a place.
     """
-    placed = np.flatnonzero(np.isfinite(height["lat_rad"]) & np.isfinite(height["lon_rad"]))
-    if placed.size == 0:
+    placed_rows = np.flatnonzero(np.isfinite(height["lat_rad"]) & np.isfinite(height["lon_rad"]))
+    if placed_rows.size == 0:
         return np.full(time_ns.shape, np.nan)
-    # Without the last stamp the search ends at the last sample also for instants after it.
-    row = placed[np.searchsorted(height.time_ns[placed[:-1]], time_ns)]
+    # The last stamp is left out of the search, so that later instants get the last row.
+    row = placed_rows[np.searchsorted(height.time_ns[placed_rows[:-1]], time_ns)]
     return heights.undulation(height["lat_rad"][row], height["lon_rad"][row])
 
 
 def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) -> Array:
-    """(s,) what to add to a ground height to have it above mean sea level [m].
+    """(s,) heights [m] to add to ground heights so that they are above mean sea level.
 
-    ``reference`` is msl, ellipsoid (minus the undulation at the station) or relative (the height
-    of the take-off point). Refuses where the log and the mission file leave that unknown.
+    ``reference`` is the surface from which ground heights count: msl (adds 0), ellipsoid (adds
+    minus the undulation at the station) or relative (adds the height of the take-off point).
+    Refuses (MissionError HEIGHT-REFERENCE) if the undulation or the take-off height is unknown.
     """
     n = len(stations)
     if reference == "msl":
@@ -305,11 +311,14 @@ def ground_offsets(reference: str, stations: Stations, heights: HeightSystem) ->
         if stations.ok.any() and not np.isfinite(undulation[stations.ok]).any():
             raise messages.undulation_unknown()
         return -undulation
-    return np.full(n, known_home_m(heights))
+    return np.full(n, required_home_m(heights))
 
 
-def known_home_m(heights: HeightSystem) -> float:
-    """The height of the take-off point; refuses (MissionError) heights relative to an unknown."""
+def required_home_m(heights: HeightSystem) -> float:
+    """The height of the take-off point above sea level [m].
+
+    Refuses (MissionError HEIGHT-REFERENCE) if it is unknown.
+    """
     if heights.home_h_msl_m is not None:
         return heights.home_h_msl_m
     raise messages.home_unknown(begin_m=heights.begin_h_msl_m)
@@ -321,7 +330,10 @@ def with_begin_of_log(
     evidence: GroundEvidence,
     max_gap_s: float,
 ) -> HeightSystem:
-    """The height system with the height at which a log without one take-off height begins."""
+    """Add the height at which the log begins (``begin_h_msl_m``) if the take-off height is unknown.
+
+    Else, and without a position and heights, the system is returned unchanged.
+    """
     position = roles.get("position")
     height = roles.get("height")
     if heights.home_h_msl_m is not None or position is None or height is None:
@@ -334,7 +346,7 @@ def with_begin_of_log(
 
 @dataclass(frozen=True)
 class GeodeticOrigin:
-    """Where east = north = up = 0 lies."""
+    """The place where the local coordinates east, north and up are 0."""
 
     lat_rad: float
     lon_rad: float
@@ -342,10 +354,10 @@ class GeodeticOrigin:
 
 
 def to_geodetic(channel: Channel, origin: GeodeticOrigin) -> Channel:
-    """The channel with its local positions as latitude, longitude and ellipsoidal height.
+    """Add latitude, longitude and ellipsoidal height to a channel with local positions.
 
-    A channel without ``east_m``, ``north_m``, ``up_m``, or with latitudes of its own, is returned
-    as it is.
+    It can then have the roles of height and position. A channel without ``east_m``, ``north_m``,
+    ``up_m``, or with latitudes of its own, is returned unchanged.
     """
     if "east_m" not in channel.columns or "lat_rad" in channel.columns:
         return channel
@@ -366,24 +378,25 @@ def to_geodetic(channel: Channel, origin: GeodeticOrigin) -> Channel:
 
 
 _LONGEST_TERRAIN_GAP_S = 5.0  # between two heights of the autopilot's terrain
-_HEALTHY = 2.0  # status of TERR
+_TERR_STATUS_OK = 2.0  # of ArduPilot's TERR: the grid is loaded
 
 
 def logged_terrain(channels: Iterable[Channel], time_ns: Integers) -> Array:
-    """(n,) terrain height above sea level [m] below the vehicle at times, NaN where none is logged.
+    """(n,) terrain heights above sea level [m] below the vehicle at times; NaN if none is logged.
 
-    For checks, never as truth: ArduPilot's grid is SRTM at 100 m, some 10 m (90 %) in open country.
-    Rows count where the autopilot had its grid: TERR of status 2, TERRAIN_REPORT with a spacing and
-    place. Of several channels the first that has a height at an instant counts.
+    For checks only: ArduPilot's grid is SRTM at 100 m, with errors of some 10 m (90 %) in open
+    country. Rows count if the autopilot had its grid: TERR of status 2, TERRAIN_REPORT with a
+    spacing and a place. Of several channels the first that has a height at an instant counts.
     """
     terrain_m = np.full(time_ns.size, np.nan)
     for channel in channels:
         if "h_terrain_m" not in channel.columns:
             continue
         is_placed = channel.get("lat_rad") != 0.0
-        of_report = (channel.get("terrain_spacing_m") > 0.0) & is_placed
-        of_log = channel.get("terrain_status") == _HEALTHY
-        usable_m = np.where(of_report | of_log, channel["h_terrain_m"], np.nan)
+        is_usable_report = (channel.get("terrain_spacing_m") > 0.0) & is_placed
+        is_usable_terr = channel.get("terrain_status") == _TERR_STATUS_OK
+        is_usable = is_usable_report | is_usable_terr
+        usable_m = np.where(is_usable, channel["h_terrain_m"], np.nan)
         usable = replace(channel, columns={"h_terrain_m": usable_m}, labels={})
         logged_m = interpolate(usable, "h_terrain_m", time_ns, _LONGEST_TERRAIN_GAP_S)
         terrain_m = np.where(np.isnan(terrain_m), logged_m, terrain_m)

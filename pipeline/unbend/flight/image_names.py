@@ -1,4 +1,4 @@
-"""Names of images: what they differ in, and the pattern of those that differ in one number."""
+"""Names of images: how two of them differ, and the pattern of names that differ in one number."""
 
 import re
 import unicodedata
@@ -17,7 +17,7 @@ from unbend.units import Names
 Difference = Literal["case", "extension", "folder", "digits"]
 DIFFERENCES: tuple[Difference, ...] = ("case", "extension", "folder", "digits")
 
-# The parts of a name: texts, and the groups of digits between them.
+# The parts of a name: k + 1 texts, and the k groups of digits between them.
 _Texts = tuple[str, ...]
 _Digits = list[str]
 
@@ -32,11 +32,12 @@ def composed(name: str) -> str:
 
 
 def without_differences(name: str, differences: Collection[str]) -> str:
-    """A name without the listed differences: case, extension, folder, marks before digits.
+    """A form of a name that is equal for names with only the listed differences.
 
-    ``differences`` : which of these are taken away. In front of each group of digits, one ``#``
-    replaces its zeros, blanks, hyphens and underscores, or is added where there are none.
-    Characters come composed: file systems differ in that.
+    ``differences`` : any of `DIFFERENCES`. Without "case" letters are small; "folder" and
+    "extension" are cut off; "digits" puts one ``#`` before each group of digits, in place of
+    leading zeros, blanks, hyphens and underscores. Characters are composed in any case, because
+    file systems differ in that.
 
     >>> without_differences("left/DSC_0001.JPG", DIFFERENCES)
     'dsc#1'
@@ -54,15 +55,15 @@ def without_differences(name: str, differences: Collection[str]) -> str:
     return name.casefold() if "case" in differences else name
 
 
-def other_names(
+def images_by_name(
     images: Iterable[str], known: Iterable[str], differences: Collection[str]
 ) -> dict[str, str]:
-    """Match ``known`` names to ``images`` that have the same name but for the differences.
+    """For each known name, the image that has the same name apart from the listed differences.
 
-    Returns the image of each known name that has exactly one match. Names that are equal are left
-    out, and so are names that the differences make equal to another one.
+    ``differences`` : as of `without_differences`. Left out are names that are equal to an image,
+    and names for which two known names or two images could match.
 
-    >>> other_names(["A_01.tif", "b.tif"], ["a_1.tif", "b.tif"], ["case", "digits"])
+    >>> images_by_name(["A_01.tif", "b.tif"], ["a_1.tif", "b.tif"], ["case", "digits"])
     {'a_1.tif': 'A_01.tif'}
     """
     images = set(images)
@@ -78,7 +79,7 @@ def other_names(
 
 
 def _by_short_name(names: Collection[str], differences: Collection[str]) -> dict[str, str]:
-    """Each name by its form `without_differences`; without names that share that form."""
+    """Each name by its form `without_differences`; names with the same form are left out."""
     names_by_short_name: defaultdict[str, list[str]] = defaultdict(list)
     for name in sorted(names):
         short_name = without_differences(name, differences)
@@ -90,20 +91,21 @@ def _by_short_name(names: Collection[str], differences: Collection[str]) -> dict
     return only_names
 
 
-def renamed(
+def renamed_like_images(
     names: Names,
     images: Iterable[str],
     differences: Collection[str],
     where: str,
 ) -> tuple[Names, Notes]:
-    """Names of exposures, with those that match an observed image replaced by the image's name.
+    """Give exposures the names of the observed images that they match.
 
-    ``images`` are observed; they may differ from ``names`` by the ``differences`` that the mission
-    file allows, and in composed characters. A note says how many names were replaced.
+    ``names`` : (m,) of exposures, "" where unknown. ``images`` : the observed ones; they may differ
+    from ``names`` by the ``differences`` that the mission file allows, and in composed characters.
+    ``where`` : the source of the exposures. A note counts the replaced names.
     """
     all_names = names.tolist()
-    given = [name for name in all_names if name]
-    matches = other_names(images, given, differences)
+    known_names = [name for name in all_names if name]
+    matches = images_by_name(images, known_names, differences)
     if not matches:
         return names, ()
     example, its_image = next(iter(matches.items()))
@@ -118,17 +120,18 @@ def renamed(
     return np.array(new_names, dtype=object), (message,)
 
 
-def proposal(images: Collection[str], known: Collection[str]) -> str:
-    """Propose, in words, which differences to allow so that most images match; "" where none do.
+def propose_differences(images: Collection[str], known: Collection[str]) -> str:
+    """Propose, in words, which differences to allow so that most images match a known name.
 
-    Of sets of differences that match equally many images the smallest is proposed.
+    Of sets of differences that match equally many images the smallest is proposed. "" if no image
+    matches.
     """
     best: dict[str, str] = {}
     best_differences: tuple[Difference, ...] = ()
     for size in range(1, len(DIFFERENCES) + 1):
         for differences in combinations(DIFFERENCES, size):
-            matches = other_names(images, known, differences)
-            if len(matches) > len(best):  # else the smaller set, which was tried before, stays
+            matches = images_by_name(images, known, differences)
+            if len(matches) > len(best):  # of equally good sets, the first one is the smallest
                 best = matches
                 best_differences = differences
     if not best:
@@ -146,37 +149,38 @@ def refuse_other_names(
     exposures: Mapping[str, Collection[str]],
     images: Iterable[str],
 ) -> None:
-    """Refuse (MissionError IMAGES-OTHER) a camera of whose exposures none is an observed image.
+    """Refuse (MissionError IMAGES-OTHER) a camera if none of its exposures is an observed image.
 
-    ``exposures`` : the names of exposures, by camera. Passed over are
+    ``exposures`` : names of exposures, by camera. ``images`` : the observed ones. Not refused are
 
     * all cameras, if each observed image has an exposure;
     * a camera with more than twice as many exposures as there are observed images without one:
       perhaps nothing was measured in the images of this camera.
     """
     observed = set(images)
-    unknown = sorted(observed.difference(*exposures.values()))
-    if not unknown:
+    without_exposure = sorted(observed.difference(*exposures.values()))
+    if not without_exposure:
         return
     for camera, names in exposures.items():
-        may_be_unmeasured = 2 * len(unknown) < len(names)
-        if may_be_unmeasured or not observed.isdisjoint(names):
+        may_be_unmeasured = 2 * len(without_exposure) < len(names)
+        has_observed_image = not observed.isdisjoint(names)
+        if may_be_unmeasured or has_observed_image:
             continue
         raise messages.no_image_of_camera(
             camera=camera,
-            unknown=len(unknown),
-            image=unknown[0],
+            unknown=len(without_exposure),
+            image=without_exposure[0],
             exposures=len(names),
             example=next(iter(names), None),
-            proposal=proposal(unknown, names),
+            proposal=propose_differences(without_exposure, names),
         )
 
 
-_MOST_SERIES = 12  # into which digits that differ between groups part the names
-_LISTED = 3
-_STRAYS_IN = 10  # numbers of which one may be far from those of a log
+_MOST_SERIES = 12  # digits that would divide the names into more series become "*"
+_LISTED = 3  # names in a message
+_NUMBERS_PER_STRAY = 10  # one in so many numbers may be far from those of a log
 
-# What cameras call all their images: no name of one camera.
+# Words with which many cameras begin their images: they do not tell the camera.
 _OF_ANY_CAMERA = {
     "",
     "cap",
@@ -194,10 +198,11 @@ _OF_ANY_CAMERA = {
 
 @dataclass(frozen=True)
 class NameSeries:
-    """Images whose names differ in one number, and where ``before`` has a ``*`` in other digits.
+    """Images that have the same name apart from one number.
 
-    ``width`` : digits of the number, 0 where they are not padded. ``numbers`` : of all images, in
-    rising order. ``has_number`` is False where the names have none.
+    ``before``, ``after`` : the texts around the number, with a ``*`` for other digits that differ.
+    ``width`` : number of digits, 0 if they are not padded with zeros. ``numbers`` : of all images,
+    in rising order. ``has_number`` is False for the series of a name without digits.
     """
 
     before: str
@@ -207,7 +212,10 @@ class NameSeries:
     has_number: bool = True
 
     def pattern(self, field: str) -> str:
-        """The pattern of a mission file, for example ``DSC_{index:04d}.tif``; ``*`` for any.
+        """The pattern of these names for a mission file, for example ``DSC_{index:04d}.tif``.
+
+        ``field`` : the word for the number, ``index`` or ``n``; with ``*`` the pattern has a ``*``
+        in place of the number.
 
         >>> NameSeries("DSC_", 4, ".tif", (7, 8)).pattern("index")
         'DSC_{index:04d}.tif'
@@ -221,7 +229,10 @@ class NameSeries:
 
     @property
     def camera(self) -> str:
-        """What the names call their camera: the word before the number, or the folder; or empty."""
+        """The camera that the names tell: the word before the number, or a folder; "" if neither.
+
+        Words of `_OF_ANY_CAMERA` and mere digits do not count.
+        """
         *folders, word = re.split(r"[\\/]", self.before)
         for name in (word, *reversed(folders)):
             plain = re.sub(r"[^A-Za-z0-9]+", "_", name)
@@ -231,32 +242,37 @@ class NameSeries:
         return ""
 
     def counts_as(self, index: Collection[int]) -> bool:
-        """Whether all numbers are numbers of a log, the first and the last of the log included."""
+        """Whether the numbers of the images are those of the events of a log (``index``).
+
+        All must be in the log, once each, among them the first and the last number of the log.
+        """
         log_numbers = set(index)
-        own_numbers = set(self.numbers)
-        if not self.has_number or not own_numbers:
+        image_numbers = set(self.numbers)
+        if not self.has_number or not image_numbers:
             return False
-        repeats_own = len(own_numbers) < len(self.numbers)
+        repeats_image = len(image_numbers) < len(self.numbers)
         repeats_in_log = len(log_numbers) < len(index)
-        if repeats_own or repeats_in_log or not own_numbers <= log_numbers:
+        if repeats_image or repeats_in_log or not image_numbers <= log_numbers:
             return False
-        has_first = min(own_numbers) == min(log_numbers)
-        has_last = max(own_numbers) == max(log_numbers)
+        has_first = min(image_numbers) == min(log_numbers)
+        has_last = max(image_numbers) == max(log_numbers)
         return has_first and has_last
 
     def listed(self, numbers: tuple[int, ...]) -> str:
-        """The names of images, the first three of them; ``*`` where other digits differ."""
+        """The names of the images with these numbers, the first three of them, for a message.
+
+        They have a ``*`` where other digits differ.
+        """
         pattern = self.pattern("index")
         names = [pattern.format(index=number) for number in numbers]
         return messages.first_names(names, _LISTED)
 
     def strays(self, index: Collection[int]) -> tuple[int, ...]:
-        """The few numbers that are far from those of a log, if all others may be the log's.
+        """The few numbers that are far from those of a log, if all others `counts_as` the log.
 
-        ``index`` : the numbers of the log. Returns no number if more than a tenth of the numbers is
-        far, or the others do not count as the log does. A number is far if it is beyond either end
-        by more than the length of the log: numbers that go on where the log ends (1 to 29 for 28
-        events) rather show a lost event.
+        ``index`` : the numbers of the log. A number is far if it is beyond either end by more than
+        the length of the log: numbers that go on where the log ends (1 to 29 for 28 events) rather
+        show a lost event. Empty if more than a tenth of the numbers is far.
         """
         first = min(index, default=0)
         last = max(index, default=0)
@@ -268,7 +284,7 @@ class NameSeries:
                 near.append(number)
             else:
                 far.append(number)
-        has_too_many = _STRAYS_IN * len(far) > len(self.numbers)
+        has_too_many = _NUMBERS_PER_STRAY * len(far) > len(self.numbers)
         near_images = replace(self, numbers=tuple(near))
         if has_too_many or not near_images.counts_as(index):
             return ()
@@ -276,10 +292,11 @@ class NameSeries:
 
 
 def name_series(names: Iterable[str]) -> list[NameSeries]:
-    """The series of some names, the largest first.
+    """Divide names into series, the largest first.
 
-    Digits that differ between few groups of images (a head, a folder) part them into several
-    series; digits that differ from image to image beside the count (a time) become ``*``.
+    Digits that differ between few groups of images (a camera head, a folder) divide them into
+    several series; digits that differ from image to image in addition to the count (a time) become
+    ``*``.
 
     >>> [s.pattern("n") for s in name_series(["cam1/a_01.jpg", "cam1/a_02.jpg", "cam2/a_01.jpg"])]
     ['cam1/a_{n:02d}.jpg', 'cam2/a_{n:02d}.jpg']
@@ -292,49 +309,50 @@ def name_series(names: Iterable[str]) -> list[NameSeries]:
         digits_by_texts[texts].append(digits)
     all_series: list[NameSeries] = []
     for texts, rows in digits_by_texts.items():
-        all_series += _series(texts, rows)
+        all_series += _series_of_texts(texts, rows)
     return sorted(all_series, key=lambda series: (-len(series.numbers), series.before))
 
 
-def _series(texts: _Texts, rows: list[_Digits]) -> list[NameSeries]:
+def _series_of_texts(texts: _Texts, rows: list[_Digits]) -> list[NameSeries]:
     """The series of names that have the same texts between their groups of digits.
 
-    ``rows``: the groups of digits of each name. One group counts the images; the others that differ
-    part the names into series if these are few and have two names or more in the mean.
+    ``rows``: for each name its groups of digits. One column of these counts the images. The other
+    columns that differ divide the names into series, if that gives few series of two names or more
+    on average.
     """
     if not rows[0]:
         return [_name_without_number(texts[0])]
-    varieties = [len(set(digits)) for digits in zip(*rows, strict=True)]
-    columns = range(len(varieties))
-    # The digits that differ most count the images; of several such groups the last.
-    count_column = max(columns, key=lambda column: (varieties[column], column))
+    distinct = [len(set(digits)) for digits in zip(*rows, strict=True)]
+    columns = range(len(distinct))
+    # The column with most distinct digits counts the images; of several such columns the last.
+    count_column = max(columns, key=lambda column: (distinct[column], column))
     other_columns: list[int] = []
     for column in columns:
-        if column != count_column and varieties[column] > 1:
+        if column != count_column and distinct[column] > 1:
             other_columns.append(column)
     groups: defaultdict[tuple[str, ...], list[_Digits]] = defaultdict(list)
     for row in rows:
         other_digits = tuple(row[column] for column in other_columns)
         groups[other_digits].append(row)
-    groups_have_several = 2 * len(groups) <= len(rows) + 1  # an odd name may be alone
-    if other_columns and len(groups) <= _MOST_SERIES and groups_have_several:
-        parted: list[NameSeries] = []
+    have_two_on_average = 2 * len(groups) <= len(rows) + 1  # with an odd count one may be alone
+    if other_columns and len(groups) <= _MOST_SERIES and have_two_on_average:
+        series_of_groups: list[NameSeries] = []
         for group in groups.values():
-            parted += _series(texts, group)
-        return parted
+            series_of_groups += _series_of_texts(texts, group)
+        return series_of_groups
     return [_one_series(texts, rows, count_column, other_columns)]
 
 
 def _name_without_number(name: str) -> NameSeries:
-    """The series of a single name without digits, apart at its ending."""
-    stem, dot, ending = name.rpartition(".")
+    """The series of a single name without digits, divided at its extension."""
+    stem, dot, extension = name.rpartition(".")
     if not dot:
         stem = name
-        ending = ""
+        extension = ""
     return NameSeries(
         before=stem,
         width=0,
-        after=dot + ending,
+        after=dot + extension,
         numbers=(0,),
         has_number=False,
     )
@@ -346,25 +364,28 @@ def _one_series(
     count_column: int,
     other_columns: list[int],
 ) -> NameSeries:
-    """The series that one column of digits counts; other digits that differ become ``*``."""
-    written = list(rows[0])
+    """The series of names that one column of digits counts.
+
+    ``other_columns``: columns of digits that differ too; they become ``*``.
+    """
+    digits = list(rows[0])
     for column in other_columns:
-        written[column] = "*"
+        digits[column] = "*"
     next_column = count_column + 1
     counts = [row[count_column] for row in rows]
     widths = {len(count) for count in counts}
     is_padded = len(widths) == 1 and widths != {1}
     numbers = [int(count) for count in counts]
     return NameSeries(
-        before=_joined(texts[:next_column], written[:count_column]),
+        before=_joined(texts[:next_column], digits[:count_column]),
         width=max(widths) if is_padded else 0,
-        after=_joined(texts[next_column:], written[next_column:]),
+        after=_joined(texts[next_column:], digits[next_column:]),
         numbers=tuple(sorted(numbers)),
     )
 
 
 def _joined(texts: _Texts, digits: _Digits) -> str:
-    """A part of a name from what alternates in it: text, digits, text, ... , text."""
+    """A part of a name, from k + 1 texts and the k groups of digits between them."""
     parts = [texts[0]]
     for number, text in zip(digits, texts[1:], strict=True):
         parts.append(number)
@@ -373,4 +394,5 @@ def _joined(texts: _Texts, digits: _Digits) -> str:
 
 
 def _with_doubled_braces(text: str) -> str:
+    """A text in which braces are escaped for `str.format`."""
     return text.replace("{", "{{").replace("}", "}}")

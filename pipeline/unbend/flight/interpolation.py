@@ -1,4 +1,4 @@
-"""Samples on either side of instants, and columns between them, never through a gap."""
+"""The samples before and after an instant, and values interpolated between them, not over gaps."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from unbend.flight.channels import Channel, TimeArray
 from unbend.units import Array, Mask, Rows
 
+# Where an instant is, relative to the samples of a channel.
 INSIDE = 0
 OUTSIDE_CHANNEL = 1
 GAP_IN_CHANNEL = 2
@@ -17,40 +18,44 @@ GAP_IN_CHANNEL = 2
 
 @dataclass(frozen=True, eq=False)
 class Bracket:
-    """Neighbouring samples of instants: (m,) rows before and after, and the fraction between."""
+    """The rows of a channel just before and after (m,) instants; both are that of a sample hit.
+
+    ``fraction`` is 0 at the sample before and 1 at the one after. ``coverage`` is INSIDE,
+    OUTSIDE_CHANNEL or GAP_IN_CHANNEL; the other values are of use only where it is INSIDE.
+    """
 
     before: Rows
     after: Rows
     fraction: Array
-    coverage: NDArray[np.uint8]  # INSIDE, or else the rest means nothing
+    coverage: NDArray[np.uint8]
 
-    def rows(self, which: Mask) -> Bracket:
-        """The samples on either side of some of the instants."""
+    def rows(self, keep: Mask) -> Bracket:
+        """The bracket of only those instants for which ``keep`` (m,) is True."""
         return Bracket(
-            before=self.before[which],
-            after=self.after[which],
-            fraction=self.fraction[which],
-            coverage=self.coverage[which],
+            before=self.before[keep],
+            after=self.after[keep],
+            fraction=self.fraction[keep],
+            coverage=self.coverage[keep],
         )
 
 
 def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
-    """The samples on either side of (m,) instants.
+    """The samples of a channel just before and after (m,) instants [ns].
 
     A gap is an interval longer than ``max_gap_s``, or one in which the vehicle restarted. An
-    instant that a sample hits is never in a gap.
+    instant that is exactly the time of a sample is not in a gap.
     """
     stamps = channel.time_ns
     if stamps.size == 0:
-        nowhere = np.zeros(time_ns.shape, np.intp)
+        no_rows = np.zeros(time_ns.shape, np.intp)
         return Bracket(
-            before=nowhere,
-            after=nowhere,
+            before=no_rows,
+            after=no_rows,
             fraction=np.zeros(time_ns.shape),
             coverage=np.full(time_ns.shape, OUTSIDE_CHANNEL, np.uint8),
         )
-    row_from = np.searchsorted(stamps, time_ns, side="left")
-    after = np.clip(row_from, 0, stamps.size - 1)
+    first_not_earlier = np.searchsorted(stamps, time_ns, side="left")
+    after = np.clip(first_not_earlier, 0, stamps.size - 1)
     is_hit = stamps[after] == time_ns
     row_before = np.maximum(after - 1, 0)
     before = np.where(is_hit, after, row_before)
@@ -73,9 +78,9 @@ def bracket(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Bracket:
 
 
 def nearest_rows(time_ns: TimeArray, stamps: TimeArray) -> Rows:
-    """(m,) rows of the stamps nearest to instants; of equally near ones the later.
+    """(m,) rows of the stamps that are nearest to (m,) instants; of two equally near the later.
 
-    ``stamps`` are one or more, in order.
+    ``stamps``: (n,) times in rising order, n > 0.
 
     >>> nearest_rows(np.array([1, 8, 30]), np.array([5, 10])).tolist()
     [0, 1, 1]
@@ -90,7 +95,9 @@ def nearest_rows(time_ns: TimeArray, stamps: TimeArray) -> Rows:
 
 
 def ns_to_nearest(time_ns: TimeArray, stamps: TimeArray) -> TimeArray:
-    """(m,) nanoseconds from instants to the nearest of stamps, one or more, which are in order.
+    """(m,) nanoseconds between instants and their nearest stamps, without sign.
+
+    ``stamps``: (n,) times in rising order, n > 0.
 
     >>> ns_to_nearest(np.array([1, 8, 30]), np.array([5, 10])).tolist()
     [4, 2, 20]
@@ -101,13 +108,16 @@ def ns_to_nearest(time_ns: TimeArray, stamps: TimeArray) -> TimeArray:
 
 
 def interpolate(channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float) -> Array:
-    """A column at (m,) instants, linear in time; NaN outside the channel and in its gaps."""
+    """(m,) values of a column at instants, linear in time; NaN outside the channel and in gaps.
+
+    All are NaN if the channel does not have the column.
+    """
     if column not in channel.columns or len(channel) == 0:
         return np.full(time_ns.shape, np.nan)
     samples = bracket(channel, time_ns, max_gap_s)
     values = channel[column]
     value_before = values[samples.before]
-    # Where an instant hits a sample, an unknown value behind that does no harm.
+    # At the time of a sample only its own value counts, even if the next one is NaN.
     is_between = samples.fraction > 0.0
     value_after = np.where(is_between, values[samples.after], 0.0)
     from_before = value_before * (1.0 - samples.fraction)

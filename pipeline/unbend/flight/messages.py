@@ -1,4 +1,4 @@
-"""What the flight package says: its codes, and one function for each message and refusal."""
+"""The messages of the flight package: codes, and a function for each message and refusal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ TIME_FIT = Code(
 
 
 def time_fit(*, where: str, rows: int, source: str, spread_ms: float, largest_ms: float) -> Message:
-    """How well the stamps agree that tie a vehicle's clock to UTC."""
+    """All stamps that relate a vehicle's clock to UTC agree."""
     return note(
         TIME_FIT,
         "UTC from {source}, which agree within {spread_ms:.0f} ms (p5 to p95), the farthest is "
@@ -42,7 +42,7 @@ def time_fit_but_for(
     largest_ms: float,
     limit_ms: float,
 ) -> Message:
-    """Few of the stamps that tie a vehicle's clock to UTC are late or wrong."""
+    """A few of the stamps that relate a vehicle's clock to UTC are late or wrong."""
     return note(
         TIME_FIT,
         (
@@ -73,7 +73,7 @@ def clock_scatters(
     largest_ms: float,
     sigma_ms: float,
 ) -> Message:
-    """The stamps that tie a vehicle's clock to UTC scatter, without a step."""
+    """The stamps that relate a vehicle's clock to UTC scatter, without a step."""
     return warning(
         TIME_FIT,
         (
@@ -99,7 +99,7 @@ def clock_stepped(
     largest_ms: float,
     limit_ms: float,
 ) -> Message:
-    """The vehicle's clock or the receiver's stepped."""
+    """The clock of the vehicle or of the receiver stepped."""
     return loss(
         TIME_FIT,
         (
@@ -240,46 +240,56 @@ def role_empty(*, role: str, channels: Sequence[str]) -> Message:
 
 
 def why_channel_is_missing(
-    *, name: str, needed: Sequence[str], columns: Sequence[str] | None, near: Sequence[str]
+    *, name: str, needed: Sequence[str], columns: Sequence[str] | None, similar: Sequence[str]
 ) -> str:
-    """What is wrong with a named channel: its ``columns``, or None where the log lacks it."""
+    """The reason why a named channel cannot have a role, in words, for other messages.
+
+    ``columns`` : of the channel; None if the log does not have it. ``needed`` : columns of the
+    role. ``similar`` : names of the log that are like ``name``.
+    """
     if columns is not None:
         return f"{name} has no {', '.join(needed)}; it has {', '.join(columns)}"
-    if near:
-        return f"the log has no channel {name!r} (near: {', '.join(near)})"
+    if similar:
+        return f"the log has no channel {name!r} (near: {', '.join(similar)})"
     return f"the log has no channel {name!r}"
 
 
-def _could_play(able: Sequence[str], *, board: bool) -> str:
-    """Which other channels could play a role, and whether a board's temperature could."""
-    candidates = "no other channel can have this role"
-    if able:
-        candidates = f"channels for this role: {', '.join(able)}"
-    if board:
-        candidates += (
+def _candidates_in_words(candidates: Sequence[str], *, can_use_board: bool) -> str:
+    """The channels that could have a role, and whether the temperature of a board could."""
+    text = "no other channel can have this role"
+    if candidates:
+        text = f"channels for this role: {', '.join(candidates)}"
+    if can_use_board:
+        text += (
             "; atmosphere.board_temperature: true uses the temperature of its circuit board, minus "
             "about 10 K"
         )
-    return candidates
+    return text
 
 
-def named_channel_missing(*, role: str, why: str, able: Sequence[str], board: bool) -> Message:
-    """A channel named for a role that can stay empty."""
+def named_channel_missing(
+    *, role: str, why: str, candidates: Sequence[str], can_use_board: bool
+) -> Message:
+    """A channel that is named for a role is missing, and the role can stay empty.
+
+    ``why`` : as `why_channel_is_missing` gives it. ``candidates`` : other channels for the role.
+    """
     return loss(
         CHANNEL_MISSING,
         "{why}; {others}",
         where=f"log.channels.{role}",
         why=why,
-        others=_could_play(able, board=board),
+        others=_candidates_in_words(candidates, can_use_board=can_use_board),
     )
 
 
 def required_channel_missing(
-    *, role: str, why: str, able: Sequence[str], also_missing: Sequence[str]
+    *, role: str, why: str, candidates: Sequence[str], also_missing: Sequence[str]
 ) -> MissionError:
-    """A channel named for a role without which nothing can be corrected.
+    """A channel that is named for a role is missing, and nothing can be corrected without it.
 
-    ``also_missing`` : other channels that the mission file names and the log does not have.
+    ``candidates`` : other channels for the role. ``also_missing`` : other channels that the mission
+    file names and the log does not have.
     """
     text = "{why}; {others}"
     remedy = "name a channel that `unbend inspect` lists"
@@ -292,7 +302,7 @@ def required_channel_missing(
         where=f"log.channels.{role}",
         remedy=remedy,
         why=why,
-        others=_could_play(able, board=False),
+        others=_candidates_in_words(candidates, can_use_board=False),
         also_missing=", ".join(also_missing),
     )
 
@@ -354,10 +364,10 @@ GIMBAL_FRAME = Code(
 
 
 def gimbal_frame(
-    *, camera: str, attitude: str, from_forward_deg: float, from_nadir_deg: float, far: bool
+    *, camera: str, attitude: str, from_forward_deg: float, from_nadir_deg: float, is_far: bool
 ) -> Message:
-    """Where a camera on a gimbal looks; ``far`` from the forward axis of its payload."""
-    send = warning if far else note
+    """Where a camera on a gimbal looks; ``is_far``: far from the forward axis of its payload."""
+    send = warning if is_far else note
     return send(
         GIMBAL_FRAME,
         (
@@ -443,10 +453,10 @@ HEIGHT_GEOID = Code(
 
 
 def stated_undulation_off(
-    *, channel: str, rows: int, stated_m: float, own_m: float, grave: bool
+    *, channel: str, rows: int, stated_m: float, own_m: float, is_grave: bool
 ) -> Message:
-    """The undulation of the mission file is not that of the log's two heights."""
-    send = finding if grave else warning
+    """The undulation of the mission file differs from that of the log's two heights (``own_m``)."""
+    send = finding if is_grave else warning
     return send(
         HEIGHT_GEOID,
         (
@@ -468,16 +478,20 @@ def undulation_off(
     off_m: float,
     egm96_m: float,
     other_sign_off_m: float | None,
-    grave: bool,
+    is_grave: bool,
 ) -> Message:
-    """The undulation that is used is far from EGM96; the other sign would be nearer."""
+    """The undulation in use (``used``, in words) is far from EGM96.
+
+    ``off_m`` : undulation minus EGM96, ``other_sign_off_m`` the same with the other sign, if that
+    is near EGM96; else None.
+    """
     other_sign = ""
     if other_sign_off_m is not None:
         other_sign = (
             f"; with the other sign it is {other_sign_off_m:+.1f} m from it: the undulation is the "
             "ellipsoidal height minus the height above sea level"
         )
-    send = finding if grave else warning
+    send = finding if is_grave else warning
     return send(
         HEIGHT_GEOID,
         "{used}, differs by {off_m:+.1f} m from EGM96, which has {egm96_m:.1f} m here{other_sign}",
@@ -763,10 +777,13 @@ EVENTS_ON_GROUND = Code(
 )
 
 
-def exposures_on_ground(*, names: Sequence[str], measured: int, most: bool) -> Message:
-    """Exposures of an aircraft on the ground; ``most`` of all, or some ``measured`` ones."""
+def exposures_on_ground(*, names: Sequence[str], measured: int, are_most: bool) -> Message:
+    """Exposures of an aircraft on the ground.
+
+    ``measured`` : how many of them have observations. ``are_most`` : they are most of all.
+    """
     send = note
-    if most:
+    if are_most:
         send = loss
     elif measured:
         send = warning
@@ -869,7 +886,7 @@ def events_beyond_flight(events: BeyondFlight) -> Message:
 
 
 def most_events_beyond_flight(events: BeyondFlight) -> MissionError:
-    """More than half of the events are not of this flight."""
+    """More than half of the events are before or after the flight."""
     return MissionError(
         EVENTS_SPAN,
         _BEYOND_FLIGHT,
@@ -994,7 +1011,7 @@ def no_image_of_camera(
 
 
 def difference_in_names(*, matched: int, differences: Sequence[str], name: str, image: str) -> str:
-    """How many images would have an exposure if names might differ so, for other messages."""
+    """How many images would match if names might have these differences; for other messages."""
     key = f"observations.match_names: [{', '.join(differences)}]"
     return f"{matched} of them would match with {key}, for example {image!r} with {name!r}"
 
@@ -1040,7 +1057,11 @@ IMAGES_UNMATCHED = Code(
 def images_unmatched(
     *, images: Sequence[str], unused: Sequence[str], like: str | None, proposal: str
 ) -> Message:
-    """Images of the observations without exposure, beside ``unused`` exposures or one ``like``."""
+    """Images of the observations without an exposure.
+
+    ``unused`` : exposures without observations. ``like`` : an exposure with a similar name.
+    ``proposal`` : of `propose_differences`, "" without one.
+    """
     hint = ""
     if unused:
         hint = f"; exposures without observations: {first_names(names_in_bytes(unused), 3)}"
@@ -1303,4 +1324,5 @@ def first_names(names: Sequence[str], most: int) -> str:
 
 
 def _shown(role: str) -> str:
+    """A role as a text shows it: with blanks."""
     return role.replace("_", " ")

@@ -1,4 +1,4 @@
-"""How a camera sits in the aircraft, or on a gimbal whose attitude the mission file names."""
+"""How a camera sits in the aircraft, or on a gimbal that the mission file names as attitude."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -21,24 +21,24 @@ from unbend.units import Array
 _QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 _GIMBAL_MESSAGES = ("MNT", "MOUNTSTATUS", "MOUNTORIENTATION", "GIMBALDEVICEATTITUDESTATUS")
 
-# A camera on a gimbal looks along its forward axis; with the mount of an aircraft, in which it
-# looks down, it is 90 degrees away from there.
+# Between the optical axis and the forward axis of a gimbal: 0 as a rule, and 90 degrees with the
+# default mount of an aircraft, in which a camera looks down. Half-way between.
 _LARGEST_AXIS_ANGLE_DEG = 45.0
 
 # Angles that counter a motion have a slope of -1 over it, others of 0: half-way between.
 _COUNTERED = -0.5
 
-_LEAST_VARIATION_RAD2 = 1e-9  # of a motion: what is divided by is never 0
+_LEAST_VARIATION_RAD2 = 1e-9  # of a motion, so that nothing is divided by 0
 
-_LARGEST_ANGLE_RAD = 2.0 * np.pi  # more is no angle: old autopilots send a position instead
+_LARGEST_ANGLE_RAD = 2.0 * np.pi  # old autopilots send a position instead, which is larger
 
 
 @dataclass(frozen=True)
 class Mount:
     """How a camera sits in the aircraft; angles [rad], lever arm [m] in the body frame.
 
-    ``sigma_tilt_rad``, about each level axis of the body, and ``sigma_yaw_rad``, about its vertical
-    axis, are those of attitude and mount together. None where the mission file states none.
+    ``sigma_tilt_rad`` (about each level axis of the body) and ``sigma_yaw_rad`` (about its vertical
+    axis) are the sigmas of attitude and mount together; None if the mission file states none.
     """
 
     roll_rad: float = 0.0
@@ -59,48 +59,48 @@ class Mount:
         from scipy.spatial.transform import Rotation
 
         angles = [self.yaw_rad, self.pitch_rad, self.roll_rad]
-        turn = Rotation.from_euler("ZYX", angles)
-        return np.asarray(CAMERA_AT_REST @ turn.as_matrix().T)
+        body_from_mount = Rotation.from_euler("ZYX", angles)
+        return np.asarray(CAMERA_AT_REST @ body_from_mount.as_matrix().T)
 
 
 def payload_attitude(
     gimbal: Channel, aircraft: Channel | None, max_gap_s: float
 ) -> tuple[Channel, Notes]:
-    """A gimbal's channel with the attitude of its payload, also where its yaw counts from the nose.
+    """Fill in the attitude of a gimbal's payload in rows with a yaw relative to the nose.
 
-    In rows whose yaw counts from the nose the attitude ``q_*`` is unknown so far. It is
+    In these rows the attitude ``q_*`` is still unknown (NaN). It becomes
 
     * v_ned = Rz(yaw of the aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload, as roll and pitch of
-      gimbals count from the horizon (common.xml of MAVLink:
+      gimbals are relative to the horizon (common.xml of MAVLink:
       GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME and MOUNT_ORIENTATION);
     * v_ned = R(aircraft) Rz(yaw) Ry(pitch) Rx(roll) v_payload for angles of servos, which a
-      MOUNT_STATUS may hold: all three count from the aircraft.
+      MOUNT_STATUS may contain: all three are relative to the aircraft.
 
-    The mount (boresight) of the camera on the payload is applied later. The channel stays as it is
-    if it has no such rows, or if no channel has the attitude of the aircraft.
+    The mount (boresight) of the camera on the payload is applied later. The channel is returned
+    unchanged if it has no such rows, or if ``aircraft``, the aircraft's attitude, is None.
     """
-    rotations = _rotations_to_nose(gimbal)
-    if rotations is None or aircraft is None:
+    all_relative = _rotations_relative_to_nose(gimbal)
+    if all_relative is None or aircraft is None:
         return gimbal, ()
     quaternion = np.stack([gimbal.get(name) for name in _QUATERNION], axis=1)
-    is_unknown = np.isnan(quaternion).any(axis=1)
-    is_known_to_nose = np.isfinite(rotations).all(axis=(1, 2))
-    only_to_nose = is_unknown & is_known_to_nose
-    if not bool(only_to_nose.any()):
+    is_attitude_unknown = np.isnan(quaternion).any(axis=1)
+    is_relative_known = np.isfinite(all_relative).all(axis=(1, 2))
+    filled_rows = is_attitude_unknown & is_relative_known
+    if not bool(filled_rows.any()):
         return gimbal, ()
-    to_nose = rotations[only_to_nose]
-    attitude = attitude_at(aircraft, gimbal.time_ns[only_to_nose], max_gap_s).quaternion
+    base_from_payload = all_relative[filled_rows]
+    attitude = attitude_at(aircraft, gimbal.time_ns[filled_rows], max_gap_s).quaternion
     ned_from_aircraft = matrices_of(attitude)
-    if _are_angles_of_servos(gimbal, to_nose, ned_from_aircraft):
+    if _are_angles_of_servos(gimbal, base_from_payload, ned_from_aircraft):
         ned_from_base = ned_from_aircraft
-        describe = messages.gimbal_counters_motion
+        report = messages.gimbal_counters_motion
     else:
         ned_from_base = _yaw_alone(ned_from_aircraft)
-        describe = messages.gimbal_yaw_added
-    quaternion[only_to_nose] = quaternions_of(ned_from_base @ to_nose)
-    message = describe(
+        report = messages.gimbal_yaw_added
+    quaternion[filled_rows] = quaternions_of(ned_from_base @ base_from_payload)
+    message = report(
         gimbal=gimbal.name,
-        rows=int(np.count_nonzero(only_to_nose)),
+        rows=int(np.count_nonzero(filled_rows)),
         total=len(gimbal),
         aircraft=aircraft.name,
     )
@@ -109,11 +109,11 @@ def payload_attitude(
     return replace(gimbal, columns=columns), (message,)
 
 
-def _rotations_to_nose(gimbal: Channel) -> Array | None:
-    """(n, 3, 3) rotations of a payload whose yaw counts from the nose of the aircraft.
+def _rotations_relative_to_nose(gimbal: Channel) -> Array | None:
+    """(n, 3, 3) rotations Rz(yaw) Ry(pitch) Rx(roll) of a payload, yaw relative to the nose.
 
-    NaN for numbers that are no angles. None if the channel has neither such a quaternion nor such
-    angles.
+    They come from the columns ``gimbal_q_*``, else ``gimbal_*_rad``; NaN for angles of more than a
+    turn. None if the channel has neither.
     """
     if "gimbal_q_w" in gimbal.columns:
         quaternion = np.stack([gimbal[f"gimbal_{name}"] for name in _QUATERNION], axis=1)
@@ -122,26 +122,28 @@ def _rotations_to_nose(gimbal: Channel) -> Array | None:
         return None
     columns = ("gimbal_roll_rad", "gimbal_pitch_rad", "gimbal_yaw_rad")
     angles = np.stack([gimbal[name] for name in columns], axis=1)
-    impossible = (np.abs(angles) > _LARGEST_ANGLE_RAD).any(axis=1)
-    angles[impossible] = np.nan
+    is_impossible = (np.abs(angles) > _LARGEST_ANGLE_RAD).any(axis=1)
+    angles[is_impossible] = np.nan
     return ned_from_body(angles)
 
 
-def _are_angles_of_servos(gimbal: Channel, to_nose: Array, ned_from_aircraft: Array) -> bool:
-    """Whether all angles count from the aircraft, as those of servos do.
+def _are_angles_of_servos(
+    gimbal: Channel, base_from_payload: Array, ned_from_aircraft: Array
+) -> bool:
+    """Whether all angles of a gimbal are relative to the aircraft, as those of its servos are.
 
-    Only a MOUNT_STATUS may hold such angles. Its roll and pitch are such if they counter those of
-    the aircraft; roll and pitch from the horizon do not depend on the aircraft.
+    That is possible in a MOUNT_STATUS only: its roll and pitch then counter those of the aircraft.
+    Roll and pitch relative to the horizon do not depend on the aircraft. Both arrays are (n, 3, 3).
     """
     if not is_of_gimbal(gimbal.source.message, "MOUNTSTATUS"):
         return False
-    angles = roll_and_pitch(to_nose)
+    angles = roll_and_pitch(base_from_payload)
     motion = roll_and_pitch(ned_from_aircraft)
     return slope_of(angles, motion) < _COUNTERED
 
 
 def _yaw_alone(ned_from_aircraft: Array) -> Array:
-    """(n, 3, 3) rotations by the yaw of an aircraft alone, with neither roll nor pitch."""
+    """(n, 3, 3) rotations by only the yaw of an aircraft, without its roll and pitch."""
     north = ned_from_aircraft[:, 0, 0]  # of the forward axis
     east = ned_from_aircraft[:, 1, 0]
     angles = np.zeros((north.size, 3))
@@ -154,10 +156,10 @@ def with_payload_attitude(
     named: Mapping[str, str],
     max_gap_s: float,
 ) -> tuple[tuple[Channel, ...], Notes]:
-    """The channels, in which a gimbal that is named for the attitude has its `payload_attitude`.
+    """Fill in the `payload_attitude` of the gimbal that the mission file names for the attitude.
 
-    ``named`` : role -> name of the channel. Without a gimbal named for the attitude the channels
-    stay as they are.
+    ``named`` : role -> name of the channel. Returns all channels with that gimbal's replaced;
+    unchanged if no gimbal is named for the attitude.
     """
     attitude_name = named.get("attitude")
     gimbal = next((channel for channel in channels if channel.name == attitude_name), None)
@@ -170,11 +172,14 @@ def with_payload_attitude(
 
 
 def _aircraft_of_gimbal(channels: tuple[Channel, ...], name: str | None) -> Channel | None:
-    """The channel with the attitude of the aircraft: that of this name, else of the best rank."""
+    """The channel with the attitude of the aircraft: the one named, else that of the best rank.
+
+    ``name`` : from the mission file, if it names one. None if no channel has an attitude.
+    """
     candidates: list[Channel] = []
     for channel in channels:
-        is_offered = channel.name == name or "attitude" in channel.roles
-        if is_offered and channel.fits_role("attitude"):
+        is_candidate = channel.name == name or "attitude" in channel.roles
+        if is_candidate and channel.fits_role("attitude"):
             candidates.append(channel)
     return min(candidates, key=lambda channel: (channel.name != name, channel.rank), default=None)
 
@@ -184,10 +189,10 @@ def gimbal_notes(
     roles: Mapping[str, Channel],
     mounts: Mapping[str, Mount],
 ) -> Iterator[Message]:
-    """Report how each camera sits on the gimbal that plays the attitude.
+    """Report how each camera sits on the gimbal that has the role of the attitude.
 
-    If no gimbal does, report that the log has gimbals which are not used. ``logged`` : count of
-    every message type or topic of the log. ``mounts`` : by camera.
+    If no gimbal has it, report the gimbals of the log, which are not used. ``logged`` : number of
+    messages by message type or topic. ``mounts`` : by camera.
     """
     attitude = roles.get("attitude")
     if attitude is None or not is_of_gimbal(attitude.source.message):
@@ -201,40 +206,41 @@ def gimbal_notes(
     down = down_in_body(attitude)
     for camera, mount in mounts.items():
         optical_axis = mount.camera_from_body[2]  # in the body: forward, right, down
-        cosine = optical_axis @ down
-        cosine = cosine[np.isfinite(cosine)]
-        if cosine.size == 0:
+        cosines = optical_axis @ down  # of the angles from nadir
+        cosines = cosines[np.isfinite(cosines)]
+        if cosines.size == 0:
             continue
         from_forward_deg = _angle_deg(optical_axis[0])
         yield messages.gimbal_frame(
             camera=camera,
             attitude=attitude.name,
             from_forward_deg=from_forward_deg,
-            from_nadir_deg=_angle_deg(np.median(cosine)),
-            far=from_forward_deg > _LARGEST_AXIS_ANGLE_DEG,
+            from_nadir_deg=_angle_deg(np.median(cosines)),
+            is_far=from_forward_deg > _LARGEST_AXIS_ANGLE_DEG,
         )
 
 
 def _angle_deg(cosine: float) -> float:
-    """The angle [deg] of a cosine, which rounding may have carried beyond 1."""
+    """The angle [deg] of a cosine; a cosine that rounding has carried beyond 1 counts as 1."""
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def roll_and_pitch(ned_from_body: Array) -> Array:
-    """(2, n) roll and pitch [rad] of (n, 3, 3) matrices."""
-    # How much each axis of the body points down.
-    forward_axis = ned_from_body[:, 2, 0]
-    right_axis = ned_from_body[:, 2, 1]
-    down_axis = ned_from_body[:, 2, 2]
-    roll = np.arctan2(right_axis, down_axis)
-    pitch = -np.arcsin(forward_axis.clip(-1.0, 1.0))
+    """(2, n) roll and pitch [rad] of (n, 3, 3) rotations from body to north, east, down."""
+    # The down components of the body's axes.
+    down_of_forward = ned_from_body[:, 2, 0]
+    down_of_right = ned_from_body[:, 2, 1]
+    down_of_down = ned_from_body[:, 2, 2]
+    roll = np.arctan2(down_of_right, down_of_down)
+    pitch = -np.arcsin(down_of_forward.clip(-1.0, 1.0))
     return np.stack([roll, pitch])
 
 
 def slope_of(angles: Array, motion: Array) -> float:
-    """The slope of (k, n) angles over a (k, n) motion, about the medians of both.
+    """The least-squares slope of (k, n) angles over a (k, n) motion, each less its row's median.
 
-    It is -1 where the angles counter the motion, and 0 without motion; to three digits.
+    It is -1 if the angles counter the motion, and 0 without motion; rounded to three digits.
+    Columns with a NaN do not count.
 
     >>> slope_of(np.array([[0.1, 0.0, -0.1]]), np.array([[-0.1, 0.0, 0.1]]))
     -1.0
@@ -244,10 +250,10 @@ def slope_of(angles: Array, motion: Array) -> float:
     is_known = has_angles & has_motion
     if not is_known.any():
         return 0.0
-    turned = _about_median(angles[:, is_known])
-    moved = _about_median(motion[:, is_known])
-    variation = max(np.sum(moved**2), _LEAST_VARIATION_RAD2)
-    return round(float(np.sum(turned * moved) / variation), 3)
+    y = _about_median(angles[:, is_known])
+    x = _about_median(motion[:, is_known])
+    variation = max(np.sum(x**2), _LEAST_VARIATION_RAD2)
+    return round(float(np.sum(y * x) / variation), 3)
 
 
 def _about_median(angles: Array) -> Array:
@@ -257,9 +263,9 @@ def _about_median(angles: Array) -> Array:
 
 
 def is_of_gimbal(message: str, *names: str) -> bool:
-    """Whether a message is one of a gimbal's or, if ``names`` are given, one of these.
+    """Whether a message type is that of a gimbal or, if ``names`` are given, one of ``names``.
 
-    Cases, underscores and paths do not count, because PX4 writes the names as topics (gimbal_v1)
-    and as ROS types (px4_msgs/GimbalV1).
+    The message may be written as a topic (gimbal_v1) or a ROS type (px4_msgs/GimbalV1); ``names``
+    are as `plain_name` gives them.
     """
     return plain_name(message) in (names or _GIMBAL_MESSAGES)

@@ -1,4 +1,4 @@
-"""What the sensors outside measured, at GNSS heights, with the gates for them."""
+"""Readings of the sensors outside at GNSS heights, and the reasons to reject some of them."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +8,7 @@ from unbend.atmosphere.air_samples import AirSamples, SensorSamples
 from unbend.atmosphere.rejection import Reason, reasons_where
 from unbend.flight import messages
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.stretches import HEIGHT, Stretch, covered
+from unbend.flight.evidence.stretches import HEIGHT, Stretch, in_any_stretch
 from unbend.flight.ground_times import NOTHING_SAID, GroundEvidence, times_on_the_ground
 from unbend.flight.heights import HeightSystem, heights_at
 from unbend.messages import Message, Notes
@@ -18,7 +18,8 @@ SOAK_SECONDS = 120.0
 """A thermometer still carries the heat of the ground for so long after take-off [s]. Over a climb
 of 1 km, with realistic sensors and no descent, R scatters by 2.0 %; with 60 s by 2.2 %."""
 
-LEVEL_M = 30.0  # above the lowest height of a flight, pressures give their level [m]
+# Pressures up to so far above the lowest one give the level of the pressure profile [m].
+LEVEL_M = 30.0
 AWAY_SECONDS = 60.0  # an aircraft that is away from the ground for less has not taken off [s]
 
 _SENSORS = (
@@ -27,6 +28,7 @@ _SENSORS = (
     ("humidity", "relative_humidity"),
     ("airspeed", "airspeed_m_s"),
 )
+# Roles of sensors that still measure the air of the runway for a while after take-off.
 _SOAKED_ROLES = ("temperature", "humidity")
 
 
@@ -39,15 +41,16 @@ def outside_air_samples(
 ) -> tuple[AirSamples, Notes]:
     """The readings of the outside sensors at their heights above sea level.
 
-    These readings are rejected: they are shown with the reason, and not used. Of several reasons
-    the first counts.
+    Rejected readings are contained with their reason, but are not used. The first reason that
+    applies counts:
 
-    * NO_HEIGHT: all readings where the height is unknown.
-    * SUSPECT_HEIGHT: all where the height is ``suspect`` and no other source replaces it.
-    * FUSED_HEIGHT: pressures more than `LEVEL_M` above the lowest one, if no receiver gives the
-      height. A height fused with the barometer says nothing on the air between two pressures.
-    * GROUND_SOAK: temperature and humidity on the ground and in the first two minutes after
-      take-off, which are the runway's. ``evidence`` says where the aircraft stands on the ground.
+    * NO_HEIGHT: the height is unknown.
+    * SUSPECT_HEIGHT: the height is suspect (``suspect`` stretches), and no other source replaces
+      it.
+    * FUSED_HEIGHT: a pressure more than `LEVEL_M` above the lowest one, if no receiver gives the
+      height. A height fused with the barometer does not show the air between two pressures.
+    * GROUND_SOAK: temperature and humidity on the ground (also by ``evidence``) and in the first
+      two minutes after take-off; they are of the air at the runway.
     """
     height = roles.get("height")
     if height is None:
@@ -87,8 +90,8 @@ def outside_air_samples(
 def _without_suspect_heights(
     sensor: SensorSamples, suspect_heights: Sequence[Stretch]
 ) -> tuple[SensorSamples, Notes]:
-    """A sensor whose readings in some stretches are rejected, as their height may be wrong."""
-    sensor = sensor.reject(covered(suspect_heights, sensor.time_ns), Reason.SUSPECT_HEIGHT)
+    """Reject the readings of a sensor in stretches of suspect height; a note counts them."""
+    sensor = sensor.reject(in_any_stretch(suspect_heights, sensor.time_ns), Reason.SUSPECT_HEIGHT)
     count = sensor.count(Reason.SUSPECT_HEIGHT)
     if count == 0:
         return sensor, ()
@@ -98,7 +101,10 @@ def _without_suspect_heights(
 def _without_ground_soak(
     sensor: SensorSamples, on_ground_ns: Integers
 ) -> tuple[SensorSamples, Notes]:
-    """A sensor whose readings on the ground and shortly after take-off are rejected."""
+    """Reject the readings of a sensor on the ground and shortly after take-off; a note counts them.
+
+    ``on_ground_ns`` : increasing times at which the aircraft was on the ground.
+    """
     sensor = sensor.reject(_is_soaked(sensor.time_ns, on_ground_ns), Reason.GROUND_SOAK)
     count = sensor.count(Reason.GROUND_SOAK)
     if count == 0:
@@ -108,27 +114,36 @@ def _without_ground_soak(
 
 
 def _is_above_level(sensor: SensorSamples) -> Mask:
-    """Which readings are far above the lowest one, and say nothing on the level of pressures."""
+    """(n,) True for readings of unknown height, or `LEVEL_M` or more above the lowest accepted."""
     lowest_m = np.min(sensor.h_m[sensor.accepted], initial=np.inf)
     return np.asarray(~(sensor.h_m < lowest_m + LEVEL_M))
 
 
 def _is_fused(height: Channel) -> bool:
-    """Whether the height of a log is a filter's, because no receiver gives one."""
+    """Whether a height is that of a filter: a channel of a log that does not offer this role.
+
+    It has the role only if no receiver gives a height. A channel without any roles does not count.
+    """
     return bool(height.roles) and "height" not in height.roles
 
 
 def _is_soaked(time_ns: Integers, on_ground_ns: Integers) -> Mask:
-    """Which readings were made on the ground or shortly after it."""
+    """(n,) True for times less than `SOAK_SECONDS` after a time on the ground.
+
+    ``on_ground_ns`` : increasing.
+    """
     if on_ground_ns.size == 0:
         return np.zeros(time_ns.shape, np.bool_)
-    last = np.searchsorted(on_ground_ns, time_ns, side="right") - 1
-    since_s = (time_ns - on_ground_ns[np.maximum(last, 0)]) * 1e-9
-    return np.asarray((last >= 0) & (since_s < SOAK_SECONDS))
+    last_row = np.searchsorted(on_ground_ns, time_ns, side="right") - 1  # -1: none before
+    since_s = (time_ns - on_ground_ns[np.maximum(last_row, 0)]) * 1e-9
+    return np.asarray((last_row >= 0) & (since_s < SOAK_SECONDS))
 
 
 def _takeoffs(on_ground_ns: Integers) -> Integers:
-    """The times at which the aircraft last stood before it was away for a minute or more."""
+    """The last times on the ground before the aircraft was away for more than a minute.
+
+    The last time of all is among them. ``on_ground_ns`` : increasing.
+    """
     if on_ground_ns.size == 0:
         return on_ground_ns
     away_ns = np.diff(on_ground_ns, append=np.iinfo(np.int64).max)

@@ -1,4 +1,4 @@
-"""Which channel plays which role: named by the user, or chosen where it is unambiguous."""
+"""Which channel plays which role: named in the mission file, or chosen if it is unambiguous."""
 
 import difflib
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -11,20 +11,23 @@ from unbend.flight.interpolation import interpolate
 from unbend.messages import Message, Notes
 from unbend.units import NANOSECONDS_PER_SECOND
 
-# Roles of which a second sensor is a spare: the first of several equals is taken.
-_SPARES = {"position", "height", "attitude"}
+# Roles for which the first of several channels of one rank is taken: the others are spares.
+_FIRST_OF_EQUALS = {"position", "height", "attitude"}
 
-# Roles without which nothing can be corrected, if the mission file names a channel for them.
+# If the mission file names a channel for one of these roles, and it is absent, it is refused.
 _REQUIRED = {"position", "attitude", "aircraft_attitude", "cabin_pressure", "cabin_temperature"}
 
 _NAMES_PROPOSED = 3  # for a name that the log does not have
 _LEAST_SIMILARITY = 0.4  # of a proposed name, as difflib counts it
 
-_LEAST_HEIGHT_SPAN_M = 300.0  # over less, a closed compartment cannot be told from free air [m]
-_FEWEST_PRESSURES = 10
-_LARGEST_UNEXPLAINED = 0.01  # part of the pressure's variation that a parabola may leave
-_HEIGHT_GAP_S = 5.0
-LONGEST_SILENCE_S = 10.0  # of a barometer before the end of the heights, that a spare is not needed
+# A barometer is compared with heights over this range or more [m]; over less, a closed compartment
+# looks like free air.
+_LEAST_HEIGHT_SPAN_M = 300.0
+_FEWEST_PRESSURES = 10  # for the same comparison
+_LARGEST_UNEXPLAINED = 0.01  # share of the pressure's variation that a parabola may leave
+_HEIGHT_GAP_S = 5.0  # between heights
+# A barometer that ends more than this before the heights is replaced by a spare [s].
+LONGEST_SILENCE_S = 10.0
 
 
 def assign_roles(
@@ -35,15 +38,15 @@ def assign_roles(
     elsewhere: Collection[str] = (),
     empty: Collection[str] = (),
 ) -> tuple[dict[str, Channel], Notes]:
-    """The channel of each role that can be filled, by role.
+    """Choose a channel for each role; returns them by role, and notes on all choices.
 
-    ``named``: role -> channel named in the mission file. ``needs_cabin``: whether the window asks
-    for cabin air from the log. ``elsewhere``: roles that a file other than the log fills.
-    ``empty``: roles that no channel may play, as the mission file says.
+    ``named``: role -> channel named in the mission file. ``needs_cabin``: whether the window needs
+    cabin air from the log. ``elsewhere``: roles that a file other than the log fills. ``empty``:
+    roles that no channel may play, by the mission file.
 
-    The notes hold each choice, and each role left empty. Named channels that are absent refuse the
-    mission where the role is needed, and are a loss where it is not. ``aircraft_attitude`` is only
-    ever named; `choose_event_channel` chooses those of events, one for each camera.
+    A named channel that is absent refuses the mission if the role is needed, and is a loss if it is
+    not. ``aircraft_attitude`` is filled only by name. The channels of events are chosen for each
+    camera, by `choose_event_channel`.
     """
     all_channels = tuple(channels)
     filled, notes = _named_roles(all_channels, named)
@@ -56,7 +59,7 @@ def assign_roles(
         notes += _fill(filled, role, all_channels, stated_roles)
     if "height" not in {*filled, *empty} and "position" in filled:
         filled["height"] = filled["position"]
-    # After the height, by which a barometer outside is told from one in the cabin.
+    # After the height, which shows whether a barometer is outside or in the cabin.
     notes += _fill_barometers(filled, free, stated_roles, needs_cabin=needs_cabin)
     for role in ("temperature", "humidity"):
         notes += _fill_outside_and_cabin(
@@ -72,9 +75,9 @@ def assign_roles(
 def _named_roles(
     channels: tuple[Channel, ...], named: Mapping[str, str]
 ) -> tuple[dict[str, Channel], list[Message]]:
-    """The roles for which the mission file names a channel that is there and fits.
+    """The roles for which the mission file names a channel that exists and has their columns.
 
-    The messages report the roles whose named channel does not.
+    A message reports each other role of ``named``.
     """
     by_name = {channel.name: channel for channel in channels}
     filled: dict[str, Channel] = {}
@@ -92,10 +95,10 @@ def _named_roles(
 def _named_but_absent(
     channels: tuple[Channel, ...], role: str, name: str, absent: list[str]
 ) -> Message:
-    """The loss of a role whose named channel is absent or does not fit.
+    """The loss of a role if its named channel is absent, or lacks the columns of the role.
 
-    ``absent`` : all named channels that the log does not have. Raises MissionError where the role
-    is needed.
+    ``name`` : of that channel. ``absent`` : all named channels that the log does not have. Refuses
+    (MissionError CHANNEL-MISSING) if the role is needed.
     """
     candidates = [channel.name for channel in channels if channel.fits_role(role)]
     named_channel = next((channel for channel in channels if channel.name == name), None)
@@ -107,16 +110,17 @@ def _named_but_absent(
         columns = list(named_channel.columns)
         similar = []
     why = messages.why_channel_is_missing(
-        name=name, needed=ROLE_COLUMNS[role], columns=columns, near=similar
+        name=name, needed=ROLE_COLUMNS[role], columns=columns, similar=similar
     )
     if role in _REQUIRED:
         also_missing = [other for other in absent if other != name]
         raise messages.required_channel_missing(
-            role=role, why=why, able=candidates, also_missing=also_missing
+            role=role, why=why, candidates=candidates, also_missing=also_missing
         )
     has_board = columns is not None and "board_temperature_k" in columns
+    can_use_board = has_board and role == "temperature"
     return messages.named_channel_missing(
-        role=role, why=why, able=candidates, board=has_board and role == "temperature"
+        role=role, why=why, candidates=candidates, can_use_board=can_use_board
     )
 
 
@@ -132,17 +136,18 @@ def _refuse_one_sensor_twice(filled: Mapping[str, Channel]) -> None:
 def _fill(
     filled: dict[str, Channel], role: str, channels: tuple[Channel, ...], stated: Collection[str]
 ) -> Iterator[Message]:
-    """Fill a role that was not stated with the only candidate of the best rank.
+    """Fill a role with the only candidate of the best rank, unless the mission file states it.
 
-    Where several have a rank, none of them gets the role and the next rank is tried; but in the
-    roles `_SPARES` the first of several gets it.
+    Changes ``filled``. If several candidates have one rank, a warning names them and the next rank
+    is tried; but in the roles `_FIRST_OF_EQUALS` the first of them gets the role. ``stated`` : the
+    roles that the mission file names or leaves empty.
     """
     if role in filled or role in stated:
         return
     candidates = _candidates(filled, role, channels)
     for rank in sorted({channel.rank for channel in candidates}):
         equals = [channel for channel in candidates if channel.rank == rank]
-        if len(equals) == 1 or role in _SPARES:
+        if len(equals) == 1 or role in _FIRST_OF_EQUALS:
             filled[role] = equals[0]
             yield messages.role_filled(role=role, channel=equals[0].name)
             return
@@ -153,12 +158,12 @@ def _fill(
 def _candidates(
     filled: Mapping[str, Channel], role: str, channels: tuple[Channel, ...]
 ) -> list[Channel]:
-    """The channels that may take a role.
+    """The channels that may take a role: they offer it and have its columns.
 
     A channel may have several roles, but not one outside and one in the cabin.
     """
     inside = role.startswith("cabin_")
-    on_other_side = {
+    on_other_side = {  # names of channels that have a role on the other side of the window
         channel.name
         for other_role, channel in filled.items()
         if other_role.startswith("cabin_") != inside
@@ -178,21 +183,21 @@ def _fill_outside_and_cabin(
     *,
     needs_cabin: bool,
 ) -> Iterator[Message]:
-    """Fill the role of a sensor outside, and of that in the cabin where it is needed.
+    """Fill the role of a sensor outside and, if the cabin is needed, that of one in the cabin.
 
-    Where the cabin is needed and neither role is given, a sensor that may play either leaves both
-    roles empty, and is reported.
+    Changes ``filled``. If the cabin is needed and neither role is decided yet, a sensor that could
+    be in either place leaves both roles empty, and is reported. ``stated`` : as of `_fill`.
     """
     cabin_role = f"cabin_{role}"
-    given = {*filled, *stated}
-    if needs_cabin and role not in given and cabin_role not in given:
-        either = [
+    decided = {*filled, *stated}
+    if needs_cabin and role not in decided and cabin_role not in decided:
+        in_either_place = [
             channel.name
             for channel in channels
             if role in channel.roles and cabin_role in channel.roles
         ]
-        if either:
-            yield messages.outside_or_cabin(role=role, candidates=either)
+        if in_either_place:
+            yield messages.outside_or_cabin(role=role, candidates=in_either_place)
             return
     yield from _fill(filled, role, channels, stated)
     if needs_cabin:
@@ -206,17 +211,18 @@ def _fill_barometers(
     *,
     needs_cabin: bool,
 ) -> Iterator[Message]:
-    """Fill the roles of the barometers outside and in the cabin, by how they follow the height.
+    """Fill the roles of the barometers outside and in the cabin, by whether they follow the height.
 
-    A barometer that does not follow it is in the cabin; one that does, or of which that cannot be
-    decided, counts as outside. ``free``: the channels that are not named for a role.
+    Changes ``filled``. A barometer that does not follow the height is in the cabin; all others,
+    also undecided ones, count as outside. ``free``: the channels that are not named for a role.
+    ``stated`` : as of `_fill`.
     """
     height = filled.get("height")
     if height is None:
         return
-    given = {*filled, *stated}
-    seeks_outside = "pressure" not in given
-    seeks_cabin = needs_cabin and "cabin_pressure" not in given
+    decided = {*filled, *stated}
+    seeks_outside = "pressure" not in decided
+    seeks_cabin = needs_cabin and "cabin_pressure" not in decided
     if not (seeks_outside or seeks_cabin):
         return
     barometers = [channel for channel in free if "pressure" in channel.roles]
@@ -232,16 +238,18 @@ def _fill_barometers(
 def _fill_outside_pressure(
     filled: dict[str, Channel], outdoors: list[Channel], indoors: list[Channel], height: Channel
 ) -> Iterator[Message]:
-    """Fill the pressure outside with the first barometer that may be outside.
+    """Fill the pressure outside with the first of the ``outdoors`` barometers, best rank first.
 
-    One that falls silent before the flight ends gives way to the first that goes on.
+    If that ends before the flight does, the first one that goes on replaces it, if there is one.
+    Changes ``filled``; reports the ``indoors`` barometers, which are not used here.
     """
     for channel in indoors:
         yield messages.barometer_not_outside(channel=channel.name)
     if not outdoors:
         return
     first = outdoors[0]
-    chosen = next((channel for channel in outdoors if _silent_s(channel, height) == 0.0), first)
+    to_the_end = (channel for channel in outdoors if _silent_s(channel, height) == 0.0)
+    chosen = next(to_the_end, first)
     filled["pressure"] = chosen
     if chosen is first:
         yield messages.role_filled(role="pressure", channel=first.name)
@@ -255,16 +263,19 @@ def _fill_outside_pressure(
 
 
 def _silent_s(channel: Channel, height: Channel) -> float:
-    """How long [s] a channel has ended before the heights do; 0 for less than ten seconds."""
+    """How long before the heights a channel ends [s]; 0 up to `LONGEST_SILENCE_S`."""
     if len(channel) == 0 or len(height) == 0:
         return 0.0
-    silent_ns = int(height.time_ns[-1]) - int(channel.time_ns[-1])  # of numpy, they may overflow
+    silent_ns = int(height.time_ns[-1]) - int(channel.time_ns[-1])  # int64 might overflow
     silent_s = silent_ns / NANOSECONDS_PER_SECOND
     return silent_s if silent_s > LONGEST_SILENCE_S else 0.0
 
 
 def _fill_cabin_pressure(filled: dict[str, Channel], indoors: list[Channel]) -> Iterator[Message]:
-    """Fill the pressure of the cabin, if exactly one barometer is in a closed compartment."""
+    """Fill the pressure of the cabin if there is exactly one barometer ``indoors``.
+
+    Changes ``filled``; several barometers are reported as ambiguous.
+    """
     if len(indoors) == 1:
         filled["cabin_pressure"] = indoors[0]
         yield messages.role_filled(role="cabin_pressure", channel=indoors[0].name)
@@ -274,11 +285,11 @@ def _fill_cabin_pressure(filled: dict[str, Channel], indoors: list[Channel]) -> 
 
 
 def follows_height(barometer: Channel, height: Channel) -> bool | None:
-    """Whether a barometer's pressure falls with GNSS height as free air does.
+    """Whether a barometer's pressure falls with GNSS height as in free air; None if undecided.
 
-    That is so if the mean temperature that the fall of ln p implies is one of air, and a parabola
-    leaves less than 1 % of the variation of pressure unexplained. None where that cannot be
-    decided: fewer than ten pressures have a height, or these span under 300 m.
+    It does if the mean temperature that the fall of ln p implies is possible for air, and a
+    parabola leaves less than 1 % of the variation of pressure unexplained. It is undecided if fewer
+    than ten pressures have a height, or these heights span less than 300 m.
     """
     column = height.height_column
     if column is None:
@@ -290,7 +301,8 @@ def follows_height(barometer: Channel, height: Channel) -> bool | None:
         return None
     if float(np.ptp(height_m[is_known])) < _LEAST_HEIGHT_SPAN_M:
         return None
-    from unbend.atmosphere.hypsometry import fall_of_pressure  # with all of the atmosphere
+    # Imported late, because the import loads the whole package of the atmosphere.
+    from unbend.atmosphere.hypsometry import fall_of_pressure
 
     fall = fall_of_pressure(height_m[is_known], np.log(pressure_pa[is_known]))
     return fall.is_of_air and fall.unexplained < _LARGEST_UNEXPLAINED

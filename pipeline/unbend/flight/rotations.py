@@ -1,7 +1,7 @@
 """Attitudes as angles, quaternions and matrices, and the frames they are measured in.
 
 The attitude of a camera is the quaternion of ``v_camera = R(q) v_frame``: camera x right, y down,
-z forward, Hamilton, (n, 4) w, x, y, z with w >= 0. What is unknown (NaN) stays unknown.
+z forward, Hamilton, (n, 4) w, x, y, z with w >= 0. Rows with a NaN give rows of NaN.
 
 Photogrammetry has the camera's y up and z backward, and a matrix M that turns from the camera to
 the frame: ``M = Rx(omega) Ry(phi) Rz(kappa)``. Textbooks that turn from the frame to the camera
@@ -42,37 +42,43 @@ _FROM_PHOTOGRAMMETRIC = np.diag([1.0, -1.0, -1.0])
 _Axes = Literal["XYZ", "YXZ", "ZYX"]
 _ThreeAngles = tuple[Array, Array, Array]
 
-# Axes of the frame and of the camera once turned (intrinsic rotations), as scipy names them.
-_ORDERS: dict[str, _Axes] = {
+# The axes of three rotations in turn, each about an axis that the rotations before it have turned
+# (intrinsic rotations); scipy writes these in capitals.
+_AXES_OF_ORDERS: dict[str, _Axes] = {
     "omega_phi_kappa": "XYZ",
     "phi_omega_kappa": "YXZ",
 }
 
-_FULL_TURN = 2.0 * np.pi
+_FULL_TURN_RAD = 2.0 * np.pi
 _SMALL_SINE = 1e-9  # of half an angle: below, angle over sine is 2 to the last digit
-_GRAD_IN_DEGREES = 0.9
+_DEGREES_PER_GRAD = 0.9
 
 
-def _grads_for_degrees(a: Array, b: Array, c: Array) -> _ThreeAngles:
-    return a * _GRAD_IN_DEGREES, b * _GRAD_IN_DEGREES, c % _FULL_TURN * _GRAD_IN_DEGREES
+def _grads_read_as_degrees(a: Array, b: Array, c: Array) -> _ThreeAngles:
+    """The true angles [rad], if numbers in grads were converted as if they were degrees."""
+    heading = c % _FULL_TURN_RAD
+    return a * _DEGREES_PER_GRAD, b * _DEGREES_PER_GRAD, heading * _DEGREES_PER_GRAD
 
 
-def _radians_for_degrees(a: Array, b: Array, c: Array) -> _ThreeAngles:
-    return a / DEGREE, b / DEGREE, c % _FULL_TURN / DEGREE
+def _radians_read_as_degrees(a: Array, b: Array, c: Array) -> _ThreeAngles:
+    """The true angles [rad], if numbers in radians were converted as if they were degrees."""
+    heading = c % _FULL_TURN_RAD
+    return a / DEGREE, b / DEGREE, heading / DEGREE
 
 
-def _degrees_for_radians(a: Array, b: Array, c: Array) -> _ThreeAngles:
+def _degrees_read_as_radians(a: Array, b: Array, c: Array) -> _ThreeAngles:
+    """The true angles [rad], if numbers in degrees were taken for radians."""
     return a * DEGREE, b * DEGREE, c * DEGREE
 
 
 UNIT_MISTAKES: dict[str, Callable[..., _ThreeAngles]] = {
-    "read as grads": _grads_for_degrees,
-    "read as radians": _radians_for_degrees,
-    "read as degrees": _degrees_for_radians,
+    "read as grads": _grads_read_as_degrees,
+    "read as radians": _radians_read_as_degrees,
+    "read as degrees": _degrees_read_as_radians,
 }
-"""What undoes mistakes about the unit of three angles [rad], by the words for the mistake.
+"""Functions that correct a wrong unit of three angles [rad], the last of which is the heading.
 
-The angles are in grads, radians or degrees; they were read as degrees, the last one as radians.
+The key names the unit that the numbers have in truth, and in which they should be read.
 """
 
 ANGLE_MISTAKES: dict[str, Callable[..., _ThreeAngles]] = {
@@ -83,14 +89,14 @@ ANGLE_MISTAKES: dict[str, Callable[..., _ThreeAngles]] = {
     "with {0} and {1} exchanged": lambda a, b, c: (b, a, c),
     "with {2} counted from east to north": lambda a, b, c: (a, b, np.pi / 2.0 - c),
 }
-"""What undoes mistakes about three angles [rad], by the words for the mistake.
+"""Functions that correct a wrong convention of three angles [rad], by the words for the correction.
 
 The first two angles are about level axes, the third is the heading; {0} to {2} are their names.
 """
 
 
-def _rotation() -> "type[Rotation]":
-    """The class of scipy's rotations, imported late: that takes longer than reading a small log."""
+def _scipy_rotation() -> "type[Rotation]":
+    """scipy's class of rotations, imported late: that takes longer than reading a small log."""
     from scipy.spatial.transform import Rotation
 
     return Rotation
@@ -103,58 +109,59 @@ def matrices_of(quaternion: Array) -> Array:
     [1.0, -1.0, -1.0]
     """
 
-    def turned(values: Array) -> Array:
-        rotations = _rotation().from_quat(values, scalar_first=True)
+    def matrices(known: Array) -> Array:
+        rotations = _scipy_rotation().from_quat(known, scalar_first=True)
         return rotations.as_matrix()
 
-    return _where_known(turned, quaternion, (3, 3))
+    return _for_known_rows(matrices, quaternion, (3, 3))
 
 
 def quaternions_of(matrix: Array) -> Array:
     """(n, 4) quaternions w, x, y, z, w >= 0, of (n, 3, 3) rotation matrices."""
 
-    def turned(values: Array) -> Array:
-        rotations = _rotation().from_matrix(values)
+    def quaternions(known: Array) -> Array:
+        rotations = _scipy_rotation().from_matrix(known)
         return rotations.as_quat(canonical=True, scalar_first=True)
 
-    return _where_known(turned, matrix, (4,))
+    return _for_known_rows(quaternions, matrix, (4,))
 
 
 def quaternion_of_opk(angles: Array, order: str = "omega_phi_kappa") -> Array:
     """(n, 4) attitudes of cameras from the angles of photogrammetry.
 
-    ``angles``: (n, 3) in the order of their names [rad], any range: omega about x, phi about y,
-    kappa about z, counter-clockwise seen from the axis' tip. ``order``: ``omega_phi_kappa``, or
+    ``angles``: (n, 3) in the order that ``order`` names [rad], any range: omega about x, phi about
+    y, kappa about z, counter-clockwise seen from the axis' tip. ``order``: ``omega_phi_kappa``, or
     ``phi_omega_kappa`` where phi is the primary rotation (BLUH).
 
     With all angles zero the camera looks along -z of the frame, the image's x along x. Reproduces
-    the rotation matrices that Pix4D prints beside its angles to the angles' rounding.
+    the rotation matrices that Pix4D prints next to its angles to the angles' rounding.
 
     >>> quaternion_of_opk(np.zeros((1, 3))).tolist()
     [[0.0, 1.0, 0.0, 0.0]]
     """
-    frame_from_photogrammetric = _euler_matrices(_ORDERS[order], angles)
+    frame_from_photogrammetric = _euler_matrices(_AXES_OF_ORDERS[order], angles)
     photogrammetric_from_frame = _transposed(frame_from_photogrammetric)
     return quaternions_of(_FROM_PHOTOGRAMMETRIC @ photogrammetric_from_frame)
 
 
 def opk_of_quaternion(quaternion: Array, order: str = "omega_phi_kappa") -> Array:
-    """(n, 3) angles [rad] in the order of their names; inverse of `quaternion_of_opk`.
+    """(n, 3) angles [rad] in the order that ``order`` names; inverse of `quaternion_of_opk`.
 
-    The first and the last lie in [-pi, pi], the second in [-pi/2, pi/2]. At its ends, where the
-    camera looks along the axis of the first, the last is zero and the first holds both.
+    The first and the last angle are in [-pi, pi], the second in [-pi/2, pi/2]. Where the second is
+    -pi/2 or pi/2 only the sum or difference of the other two is determined: the last is set to 0.
     """
     frame_from_camera = _transposed(matrices_of(quaternion))
     frame_from_photogrammetric = frame_from_camera @ _FROM_PHOTOGRAMMETRIC
-    return _euler_angles(_ORDERS[order], frame_from_photogrammetric)
+    return _euler_angles(_AXES_OF_ORDERS[order], frame_from_photogrammetric)
 
 
 def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
-    """(n, 4) attitudes of cameras against east, north, up from those of the body.
+    """(n, 4) attitudes of cameras relative to east, north, up, from roll, pitch, yaw of the body.
 
-    ``angles``: (n, 3) roll, pitch, yaw [rad] of the body (forward, right, down) against north,
-    east, down: right wing down, nose up, clockwise from north; yaw is applied first, roll last.
-    ``camera_from_body``: (3, 3), by default of a camera that looks down, its top towards the nose.
+    ``angles``: (n, 3) roll, pitch, yaw [rad] of the body (forward, right, down) relative to north,
+    east, down. Positive are right wing down, nose up, clockwise from north; yaw is applied first,
+    roll last. ``camera_from_body``: (3, 3) rotation, by default that of a camera that looks down
+    with its top towards the nose.
 
     >>> quaternion_of_rpy(np.zeros((1, 3))).round(6).tolist()
     [[0.0, 1.0, 0.0, 0.0]]
@@ -165,13 +172,19 @@ def quaternion_of_rpy(angles: Array, camera_from_body: Array = CAMERA_AT_REST) -
 
 
 def ned_from_body(angles: Array) -> Array:
-    """(n, 3, 3) rotations Rz(yaw) Ry(pitch) Rx(roll) of (n, 3) roll, pitch, yaw [rad]."""
+    """(n, 3, 3) rotations from body to north, east, down, of (n, 3) roll, pitch, yaw [rad].
+
+    That is Rz(yaw) Ry(pitch) Rx(roll).
+    """
     yaw_pitch_roll = angles[:, ::-1]
     return _euler_matrices("ZYX", yaw_pitch_roll)
 
 
 def rpy_of_quaternion(quaternion: Array, camera_from_body: Array = CAMERA_AT_REST) -> Array:
-    """(n, 3) roll, pitch, yaw [rad]; inverse of `quaternion_of_rpy`, the pitch in [-pi/2, pi/2]."""
+    """(n, 3) roll, pitch, yaw [rad] of the body; inverse of `quaternion_of_rpy`.
+
+    The pitch is in [-pi/2, pi/2].
+    """
     enu_from_camera = _transposed(matrices_of(quaternion))
     ned_from_body_axes = NED_FROM_ENU @ enu_from_camera @ camera_from_body
     yaw_pitch_roll = _euler_angles("ZYX", ned_from_body_axes)
@@ -179,19 +192,21 @@ def rpy_of_quaternion(quaternion: Array, camera_from_body: Array = CAMERA_AT_RES
 
 
 def in_turned_frame(quaternion: Array, frame_from_other: Array) -> Array:
-    """Attitudes of v_camera = R(q) v_frame as those of v_camera = R(q) v_other.
+    """(n, 4) attitudes of cameras relative to another frame.
 
-    ``frame_from_other`` is (3, 3) or (n, 3, 3); `geodesy.enu_from_ecef` and `enu_from_grid` give
-    its transpose.
+    ``quaternion``: (n, 4) with v_camera = R(q) v_frame; the result has v_camera = R(q) v_other.
+    ``frame_from_other``: the rotation v_frame = R v_other, (3, 3) or (n, 3, 3). For example
+    `enu_from_grid` leads from attitudes relative to east, north, up to those relative to the grid,
+    and its transpose back.
     """
     camera_from_frame = matrices_of(quaternion)
     return quaternions_of(camera_from_frame @ frame_from_other)
 
 
 def enu_from_grid(convergence_rad: float | Array) -> Array:
-    """(3, 3), of (n,) angles (n, 3, 3), rotation from a map's grid (x, y, up) to east, north, up.
+    """Rotation from a map's grid (x, y, up) to east, north, up: (3, 3); of (n,) angles (n, 3, 3).
 
-    ``convergence_rad`` is positive where grid north lies east of true north, as on the northern
+    ``convergence_rad`` is positive where grid north is east of true north, as on the northern
     hemisphere east of a projection's central meridian: true azimuth = grid azimuth + convergence.
 
     >>> (enu_from_grid(np.radians(2.0)) @ [0.0, 1.0, 0.0]).round(4).tolist()
@@ -199,12 +214,15 @@ def enu_from_grid(convergence_rad: float | Array) -> Array:
     """
     up = np.array([0.0, 0.0, 1.0])
     rotation_vector = np.multiply.outer(-convergence_rad, up)
-    rotations = _rotation().from_rotvec(rotation_vector)
+    rotations = _scipy_rotation().from_rotvec(rotation_vector)
     return np.asarray(rotations.as_matrix())
 
 
 def quaternion_products(first: Array, second: Array) -> Array:
-    """(m, 4) products of unit quaternions x, y, z, w, in a tenth of the time of scipy's."""
+    """(m, 4) Hamilton products first * second of quaternions x, y, z, w.
+
+    It takes a tenth of the time of scipy's product.
+    """
     x1, y1, z1, w1 = first.T
     x2, y2, z2, w2 = second.T
     products = [
@@ -217,7 +235,7 @@ def quaternion_products(first: Array, second: Array) -> Array:
 
 
 def down_in_body(channel: Channel) -> Array:
-    """(3, n) direction of down about the body's axes, of the attitudes of a channel."""
+    """(3, n) unit vectors to the nadir in body axes, by a channel's attitudes ``q_*``."""
     components = [
         channel["q_w"],
         channel["q_x"],
@@ -228,7 +246,10 @@ def down_in_body(channel: Channel) -> Array:
 
 
 def down_of(quaternion: Array) -> Array:
-    """(3, n) direction of down about the body's axes, of (n, 4) quaternions w, x, y, z."""
+    """(3, n) unit vectors to the nadir in body axes (forward, right, down).
+
+    ``quaternion``: (n, 4) w, x, y, z with v_ned = R(q) v_body.
+    """
     w = quaternion[:, 0]
     x = quaternion[:, 1]
     y = quaternion[:, 2]
@@ -248,8 +269,8 @@ def lengths(vectors: Array) -> Array:
 def rotation_vectors(quaternion: Array) -> Array:
     """(m, 3) rotation vectors [rad], at most half a turn, of unit quaternions x, y, z, w."""
     scalar = quaternion[:, 3:]
-    shorter_way = np.where(scalar < 0.0, -1.0, 1.0)
-    vector = shorter_way * quaternion[:, :3]
+    sign_of_shorter_turn = np.where(scalar < 0.0, -1.0, 1.0)  # q and -q are one attitude
+    vector = sign_of_shorter_turn * quaternion[:, :3]
     sine = lengths(vector)[:, None]
     half_angle = np.arctan2(sine, np.abs(scalar))
     divisor = np.maximum(sine, _SMALL_SINE)
@@ -259,43 +280,46 @@ def rotation_vectors(quaternion: Array) -> Array:
 
 
 def _transposed(matrices: Array) -> Array:
-    """(n, 3, 3) inverses of rotation matrices."""
+    """(n, 3, 3) transposes of matrices: the inverses of rotations."""
     return matrices.transpose(0, 2, 1)
 
 
 def _euler_matrices(axes: _Axes, angles: Array) -> Array:
-    """(n, 3, 3) matrices of (n, 3) angles [rad] about these axes, each as turned so far."""
+    """(n, 3, 3) matrices of (n, 3) angles [rad], in the order of ``axes`` (intrinsic rotations)."""
 
-    def turned(values: Array) -> Array:
-        rotations = _rotation().from_euler(axes, values)
+    def matrices(known: Array) -> Array:
+        rotations = _scipy_rotation().from_euler(axes, known)
         return rotations.as_matrix()
 
-    return _where_known(turned, angles, (3, 3))
+    return _for_known_rows(matrices, angles, (3, 3))
 
 
 def _euler_angles(axes: _Axes, matrix: Array) -> Array:
-    """(n, 3) angles [rad] about these axes of (n, 3, 3) matrices; inverse of `_euler_matrices`."""
+    """(n, 3) angles [rad] about ``axes`` of (n, 3, 3) matrices; inverse of `_euler_matrices`."""
 
-    def angles_of(values: Array) -> Array:
+    def angles(known: Array) -> Array:
         with warnings.catch_warnings():
             # Where the first and third axis coincide, one of their angles is taken as zero.
             warnings.simplefilter("ignore", UserWarning)
-            rotations = _rotation().from_matrix(values)
+            rotations = _scipy_rotation().from_matrix(known)
             return rotations.as_euler(axes)
 
-    return _where_known(angles_of, matrix, (3,))
+    return _for_known_rows(angles, matrix, (3,))
 
 
-def _where_known(
+def _for_known_rows(
     function: Callable[[Array], Array],
     values: Array,
     shape: tuple[int, ...],
 ) -> Array:
-    """(n, *shape) results of a function for the rows without NaN; NaN for the other rows."""
+    """(n, *shape) results of a function, called with the finite rows only; NaN for other rows.
+
+    ``values``: (n, ...); ``shape``: that of the function's result for one row.
+    """
     rows = values.shape[0]
     result = np.full((rows, *shape), np.nan)
-    columns = tuple(range(1, values.ndim))
-    is_known = np.isfinite(values).all(axis=columns)
+    axes_of_a_row = tuple(range(1, values.ndim))
+    is_known = np.isfinite(values).all(axis=axes_of_a_row)
     if bool(is_known.any()):
         result[is_known] = function(values[is_known])
     return result

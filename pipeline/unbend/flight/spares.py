@@ -1,4 +1,4 @@
-"""A role whose channel falls silent while a spare of its kind goes on: the spare plays it then."""
+"""Spare channels, which take over a role where its own channel is silent."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
@@ -13,11 +13,14 @@ from unbend.flight.mount import is_of_gimbal
 from unbend.messages import Message, Notes
 from unbend.units import NANOSECONDS_PER_SECOND, Mask
 
-SILENT_AT_END_NS = 2 * NANOSECONDS_PER_SECOND  # a filter coasts no longer without a receiver
-SILENT_AT_BEGIN_NS = 10 * NANOSECONDS_PER_SECOND  # receivers have their first fixes as far apart
+# A channel counts as silent after its end, or between two samples, if that lasts for longer than
+# this: a filter coasts no longer without a receiver.
+SILENT_AT_END_NS = 2 * NANOSECONDS_PER_SECOND
+# The same before its begin: the first fixes of two receivers are as far apart.
+SILENT_AT_BEGIN_NS = 10 * NANOSECONDS_PER_SECOND
 
-_ROLES = ("height", "position", "attitude")
-_COARSE_ATTITUDES = {"AHR2", "AHRS2"}  # of a simpler filter: degrees off in turns
+_ROLES = ("height", "position", "attitude")  # that can have a spare
+_COARSE_ATTITUDES = {"AHR2", "AHRS2"}  # messages of a simpler filter: degrees off in turns
 
 
 def with_spares(
@@ -25,10 +28,11 @@ def with_spares(
     channels: Iterable[Channel],
     named: Collection[str],
 ) -> tuple[dict[str, Channel], Notes]:
-    """The roles, in which spares go on where the channel of a role is silent (`_rows_of_spare`).
+    """Fill the silences of the channels of roles with samples of spare channels.
 
-    Several spares may play one after the other, the best rank first. The samples of a spare keep
-    what it reports of its own accuracy. Roles that the mission file ``named`` a channel for stay.
+    Several spares may fill one channel, the best rank first; their samples keep their own reported
+    accuracy. ``named`` : roles for which the mission file names a channel; these stay unchanged.
+    Returns all roles, and a note for each spare in use.
     """
     by_rank = sorted(channels, key=lambda channel: (channel.rank, channel.name))
     result = dict(roles)
@@ -39,7 +43,7 @@ def with_spares(
         original = roles[role]
         for spare in by_rank:
             if _is_spare(spare, original, role):
-                # Continued is what earlier spares have continued already.
+                # result[role] has the samples of earlier spares already.
                 result[role], spare_notes = _with_spare(result[role], spare, role)
                 notes += spare_notes
     return result, tuple(notes)
@@ -50,21 +54,21 @@ def _with_spare(
     spare: Channel,
     role: str,
 ) -> tuple[Channel, Notes]:
-    """The channel of a role, continued by the samples of a spare where it is silent."""
+    """Add the plausible samples of a spare to the channel of a role where that is silent."""
     if not _rows_of_spare(spare, channel, role).any():
-        return channel, ()  # a spare that does not play is not checked, and has no notes
+        return channel, ()  # the samples of a spare that is not needed are not checked
     plausible, notes = plausible_samples(spare, role)
-    beyond = _rows_of_spare(plausible, channel, role)
-    if not beyond.any():
+    added_rows = _rows_of_spare(plausible, channel, role)
+    if not added_rows.any():
         return channel, ()
-    seconds = float(np.ptp(plausible.time_ns[beyond])) / NANOSECONDS_PER_SECOND
-    plays = messages.spare_plays_role(
+    seconds = float(np.ptp(plausible.time_ns[added_rows])) / NANOSECONDS_PER_SECOND
+    fallback = messages.spare_plays_role(
         role=role,
         channel=channel.name,
         spare=spare.name,
         seconds=seconds,
     )
-    return _continued(channel, plausible.rows(beyond)), (*notes, plays)
+    return _joined(channel, plausible.rows(added_rows)), (*notes, fallback)
 
 
 def _is_spare(
@@ -72,11 +76,11 @@ def _is_spare(
     channel: Channel,
     role: str,
 ) -> bool:
-    """Whether a channel is of the kind of another one that plays a role.
+    """Whether ``spare`` can replace ``channel`` in a role, because it is of the same kind.
 
-    * An attitude: that of the vehicle is a spare of the vehicle's, unless it is a coarse one.
-    * A position or height: a receiver is a spare of a receiver, a filter of a filter; with heights
-      above the same surface.
+    * An attitude: neither is a gimbal's, and the spare is not a coarse one.
+    * A position or height: both are receivers or both are filters, with heights above the same
+      surface.
     """
     if spare.name == channel.name or role not in spare.roles or not spare.fits_role(role):
         return False
@@ -92,10 +96,10 @@ def _rows_of_spare(
     channel: Channel,
     role: str,
 ) -> Mask:
-    """(n,) which samples of a spare play a role that a channel has.
+    """(n,) True for the samples of a spare at times at which a channel is silent.
 
-    Those before its first and after its last sample; of an attitude also those in its silences. In
-    silences of a position or height `contradictions.examine` finds another source.
+    That is before the first and after the last sample of the channel; of an attitude also between
+    samples, where `contradictions.examine` finds another source for positions and heights.
     """
     rows = _rows_beyond(spare, channel)
     if role == "attitude":
@@ -104,34 +108,41 @@ def _rows_of_spare(
 
 
 def _rows_in_silences(spare: Channel, channel: Channel) -> Mask:
-    """(n,) which samples of a spare lie between two samples of a channel that is silent there."""
+    """(n,) True for samples of a spare between two samples of a channel, more than 2 s apart."""
     if len(channel) < 2:
         return np.zeros(len(spare), np.bool_)
-    after = np.clip(
+    row_after = np.clip(
         np.searchsorted(channel.time_ns, spare.time_ns),
         1,
         len(channel) - 1,
     )
-    begin_ns = channel.time_ns[after - 1]
-    end_ns = channel.time_ns[after]
+    begin_ns = channel.time_ns[row_after - 1]
+    end_ns = channel.time_ns[row_after]
     is_between = (spare.time_ns > begin_ns) & (spare.time_ns < end_ns)
     return np.asarray(is_between & (end_ns - begin_ns > SILENT_AT_END_NS))
 
 
 def _rows_beyond(spare: Channel, channel: Channel) -> Mask:
-    """(n,) which samples of a spare lie beyond a channel, if it begins or ends much earlier."""
-    beyond = np.zeros(len(spare), np.bool_)
+    """(n,) True for samples of a spare after the end of a channel, or before its begin.
+
+    An end counts only if the spare goes on for more than 2 s, a begin if it starts more than 10 s
+    earlier.
+    """
+    is_beyond = np.zeros(len(spare), np.bool_)
     if len(spare) == 0:
-        return beyond
+        return is_beyond
     if spare.time_ns[-1] > channel.time_ns[-1] + SILENT_AT_END_NS:
-        beyond |= spare.time_ns > channel.time_ns[-1]
+        is_beyond |= spare.time_ns > channel.time_ns[-1]
     if int(spare.time_ns[0]) < int(channel.time_ns[0]) - SILENT_AT_BEGIN_NS:
-        beyond |= spare.time_ns < channel.time_ns[0]
-    return beyond
+        is_beyond |= spare.time_ns < channel.time_ns[0]
+    return is_beyond
 
 
-def _continued(channel: Channel, spare: Channel) -> Channel:
-    """A channel together with samples of a spare, in the order of time."""
+def _joined(channel: Channel, spare: Channel) -> Channel:
+    """A channel with the samples of a spare added, in the order of time.
+
+    Columns that only one of the two has are NaN in the samples of the other.
+    """
     time_ns = np.concatenate([channel.time_ns, spare.time_ns])
     order = np.argsort(time_ns, kind="stable")
     columns = {}

@@ -41,9 +41,9 @@ from unbend.units import Array, Mask
 
 
 class ClockSigmas(NamedTuple):
-    """How well the clock of the exposures agrees with that of each channel, 1 sigma [s].
+    """How well the clock of the exposures agrees with those of three channels, 1 sigma [s].
 
-    0 where both are of one log, or both UTC of a GNSS receiver.
+    0 if both times are of one log, or both are UTC of a GNSS receiver.
     """
 
     position_s: float = 0.0
@@ -66,9 +66,10 @@ def build_stations(
 ) -> Stations:
     """Position, attitude and air at each exposure of one camera, with their sigmas.
 
-    The values of an exposure outside the log, in a gap, or without position, attitude or height
-    above sea level are NaN, and its status gives the first reason found here. ``accuracy`` is that
-    of the log's samples; ``clocks`` how well the clocks of exposures and channels agree.
+    If an exposure is outside the log or in a gap, or position, attitude or height above sea level
+    is unknown, its values are NaN, and its status is the first reason that applies. ``roles``: the
+    channel of each role. ``accuracy``: of the samples of the log. ``clocks``: how well the clocks
+    of exposures and channels agree.
     """
     time_ns = events.time_ns
     all_exposures = np.ones(time_ns.size, np.bool_)
@@ -77,7 +78,7 @@ def build_stations(
     if "position" not in roles:
         return stations.with_status(all_exposures, NO_POSITION)
     track = track_at(roles["position"], time_ns, max_gap_s)
-    # A station that has a status keeps it.
+    # The order counts: a station keeps the first status that is not ok.
     stations = _with_coverage(stations, track.coverage)
     stations = stations.with_status(np.isnan(track.lat_rad), NO_POSITION)
     if "attitude" not in roles:
@@ -91,14 +92,14 @@ def build_stations(
     h_msl_m, h_ellipsoid_m = heights_at(height, time_ns, heights, max_gap_s)
     no_msl = np.isnan(h_msl_m)
     stations = stations.with_status(no_msl & np.isnan(h_ellipsoid_m), IN_GAP)
-    # What is left has a height above the ellipsoid, but no undulation.
+    # These have a height above the ellipsoid, but no undulation.
     stations = stations.with_status(no_msl, HEIGHT_REFERENCE_UNKNOWN)
     if height.height_column is None:
         bend = no_bend(time_ns.size)
     else:
         bend = bend_of_heights(height, height.height_column, time_ns, max_gap_s)
-    placed = ~_unknown_rows(attitudes.quaternion) & np.isfinite(track.lat_rad)
-    body_attitude = np.where(placed[:, None], attitudes.quaternion, np.nan)
+    is_complete = ~_unknown_rows(attitudes.quaternion) & np.isfinite(track.lat_rad)
+    body_attitude = np.where(is_complete[:, None], attitudes.quaternion, np.nan)
     stations = replace(
         stations,
         lat_rad=track.lat_rad,
@@ -113,8 +114,8 @@ def build_stations(
     )
     if any(mount.lever_arm_m):
         stations = stations.moved(_lever_arm_enu(body_attitude, mount))
-    aircraft = _aircraft_attitude(roles, attitudes, time_ns, max_gap_s)
-    stations = replace(stations, aircraft_quaternion=_from_enu(aircraft, np.eye(3)))
+    aircraft_attitude = _aircraft_attitude(roles, attitudes, time_ns, max_gap_s)
+    stations = replace(stations, aircraft_quaternion=_from_enu(aircraft_attitude, np.eye(3)))
     return with_air(stations, roles, max_gap_s)
 
 
@@ -128,19 +129,22 @@ class _Motion:
 
 
 def _with_coverage(stations: Stations, coverage: NDArray[np.uint8]) -> Stations:
-    """Stations, of which those in a gap of a channel or beyond its ends have that status."""
+    """Give stations the status IN_GAP or OUTSIDE_LOG by their (s,) coverage by a channel.
+
+    ``coverage`` is as in `Bracket`. Stations that are not ok keep their status.
+    """
     in_gap = coverage == GAP_IN_CHANNEL
     outside = (coverage != INSIDE) & ~in_gap
     return stations.with_status(in_gap, IN_GAP).with_status(outside, OUTSIDE_LOG)
 
 
 def _unknown_rows(quaternion: Array) -> Mask:
-    """(n,) which quaternions are unknown."""
+    """(n,) True where a row of an (n, 4) quaternion has a NaN."""
     return np.asarray(np.isnan(quaternion).any(axis=1))
 
 
 class _SampleSigmas(NamedTuple):
-    """(n,) sigmas of the log's samples at the exposures."""
+    """Sigmas of the log's samples at (n,) exposures; interpolation and motion are not included."""
 
     position: PositionSigmas
     height_m: Array
@@ -154,7 +158,7 @@ def _sigmas_of_samples(
     mount: Mount,
     accuracy: LogAccuracy,
 ) -> _SampleSigmas:
-    """The sigmas of position, height and attitude as the log, or the mount, states them."""
+    """The sigmas of positions and heights by the log, and of attitudes by the mount or the log."""
     return _SampleSigmas(
         position=accuracy.positions(roles["position"], time_ns),
         height_m=accuracy.positions(roles["height"], time_ns).height_m,
@@ -165,9 +169,9 @@ def _sigmas_of_samples(
 def _attitude_sigmas(
     channel: Channel, time_ns: TimeArray, lat_rad: Array, mount: Mount, accuracy: LogAccuracy
 ) -> AttitudeSigmas:
-    """The sigmas of an attitude that the mount states; those it does not state by the log."""
+    """The sigmas of an attitude: those that the mount states, else those by the log."""
     if is_of_gimbal(channel.source.message):
-        accuracy = LogAccuracy()  # the filter of the aircraft says nothing of a gimbal
+        accuracy = LogAccuracy()  # the filter of the aircraft does not apply to a gimbal
     tilt, yaw = accuracy.attitude(channel, time_ns, lat_rad)
     if mount.sigma_tilt_rad is not None:
         tilt = np.full(time_ns.size, mount.sigma_tilt_rad)
@@ -198,9 +202,9 @@ def _with_sigmas(
 ) -> Stations:
     """Stations with their sigmas.
 
-    Each adds three variances: of the log's samples, of the interpolation between them, and of the
-    motion within the sigma of the exposure's time. Interpolation and motion are along one
-    direction: half of their variance counts on each of two level axes.
+    Each is the root of the sum of three variances: of the log's samples, of the interpolation
+    between them, and of the motion within the sigma of the exposure's time. Of two level axes,
+    each gets half of the variance of interpolation and motion: the mean of both components.
     """
     track = motion.track
     bend = motion.bend
@@ -227,19 +231,26 @@ def _with_sigmas(
 
 
 def _lever_arm_enu(body_attitude: Array, mount: Mount) -> Array:
-    """(n, 3) east, north and up [m] from the position to the camera; NaN without attitude."""
-    step = np.full((body_attitude.shape[0], 3), np.nan)
+    """(n, 3) east, north and up [m] from the logged position to the camera; NaN without attitude.
+
+    ``body_attitude``: (n, 4) w, x, y, z with v_ned = R(q) v_body.
+    """
+    arm_enu_m = np.full((body_attitude.shape[0], 3), np.nan)
     is_known = ~_unknown_rows(body_attitude)
     if is_known.any():
         ned_from_body = Rotation.from_quat(body_attitude[is_known], scalar_first=True)
-        step[is_known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ NED_FROM_ENU
-    return step
+        arm_enu_m[is_known] = ned_from_body.apply(np.array(mount.lever_arm_m)) @ NED_FROM_ENU
+    return arm_enu_m
 
 
 def _aircraft_attitude(
     roles: Mapping[str, Channel], attitudes: Attitudes, time_ns: TimeArray, max_gap_s: float
 ) -> Array:
-    """(n, 4) attitudes of the aircraft; NaN where a gimbal's is the only one."""
+    """(n, 4) attitudes of the aircraft, w, x, y, z with v_ned = R(q) v_body.
+
+    They are those of the role ``aircraft_attitude``, else those of the role ``attitude``, which
+    ``attitudes`` has at the exposures; all NaN if these are a gimbal's.
+    """
     if "aircraft_attitude" in roles:
         return attitude_at(roles["aircraft_attitude"], time_ns, max_gap_s).quaternion
     if is_of_gimbal(roles["attitude"].source.message):
@@ -248,14 +259,14 @@ def _aircraft_attitude(
 
 
 def _from_enu(attitude: Array, frame_from_body: Array) -> Array:
-    """(n, 4) quaternions of v_frame = R(q) v_enu from attitudes v_ned = R(q) v_body; NaN stays.
+    """(n, 4) quaternions with v_frame = R(q) v_enu, from attitudes with v_ned = R(q) v_body.
 
-    ``frame_from_body`` is a (3, 3) rotation.
+    All are w, x, y, z; rows of NaN stay NaN. ``frame_from_body`` is a (3, 3) rotation.
     """
     frame = np.tile(Rotation.from_matrix(frame_from_body).as_quat(), (4, 1))
     ned_from_enu = np.tile(Rotation.from_matrix(NED_FROM_ENU).as_quat(), (4, 1))
-    # The product of three quaternions is linear in the one in the middle: a matrix, whose rows are
-    # the products of the four basis quaternions.
+    # frame * q * ned_from_enu is linear in q: row k of the matrix is the product for the k-th basis
+    # quaternion as q.
     matrix = quaternion_products(quaternion_products(frame, np.eye(4)), ned_from_enu)
     body_from_ned = attitude[:, [1, 2, 3, 0]] * [-1.0, -1.0, -1.0, 1.0]  # x, y, z, w; inverse
     frame_from_enu = body_from_ned @ matrix
@@ -267,6 +278,7 @@ def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float)
     """Stations with the air measured at the exposures, outside and in the cabin."""
 
     def reading(role: str, column: str) -> Array:
+        """(s,) values of a role's channel at the exposures; NaN without a channel."""
         channel = roles.get(role)
         if channel is None:
             return np.full(stations.time_ns.size, np.nan)
@@ -286,10 +298,10 @@ def with_air(stations: Stations, roles: Mapping[str, Channel], max_gap_s: float)
 def with_logged_aircraft(
     stations: Stations, roles: Mapping[str, Channel], max_gap_s: float
 ) -> Stations:
-    """Stations of oriented images with the attitude of the aircraft from the channel named for it.
+    """Stations of oriented images with ``aircraft_quaternion`` by the role ``aircraft_attitude``.
 
-    It is unknown (NaN) where the channel has none at the time of an image. Without such a channel
-    the stations stay as they are.
+    It is NaN where the channel has no attitude at the time of an image. Without a channel in this
+    role the stations are returned unchanged.
     """
     channel = roles.get("aircraft_attitude")
     if channel is None:
@@ -305,12 +317,12 @@ NO_AIRCRAFT_ATTITUDE = (
 
 
 def flag_missing_aircraft_attitude(stations: Stations, camera: str) -> tuple[Stations, Notes]:
-    """Mark the exposures of a camera that lack the attitude of the aircraft as suspect.
+    """Mark usable exposures of a camera as suspect if the attitude of the aircraft is unknown.
 
     Without it the direction of the aircraft's window is unknown.
     """
-    missing = _unknown_rows(stations.aircraft_quaternion)
-    stations, count = mark_suspect(stations, camera, missing, NO_AIRCRAFT_ATTITUDE)
+    is_missing = _unknown_rows(stations.aircraft_quaternion)
+    stations, count = mark_suspect(stations, camera, is_missing, NO_AIRCRAFT_ATTITUDE)
     if count == 0:
         return stations, ()
     message = messages.aircraft_attitude_missing(
@@ -320,10 +332,13 @@ def flag_missing_aircraft_attitude(stations: Stations, camera: str) -> tuple[Sta
 
 
 def mark_suspect(
-    stations: Stations, camera: str, missing: Mask, reason: str
+    stations: Stations, camera: str, is_missing: Mask, reason: str
 ) -> tuple[Stations, int]:
-    """Mark the exposures of a camera that lack something; returns how many there are."""
-    suspect = missing & (stations.camera == camera) & stations.ok
+    """Mark usable exposures of a camera as suspect where ``is_missing`` (s,) is True.
+
+    They are not usable afterwards. Returns the stations, and how many were marked.
+    """
+    suspect = is_missing & (stations.camera == camera) & stations.ok
     count = int(np.count_nonzero(suspect))
     if count == 0:
         return stations, 0

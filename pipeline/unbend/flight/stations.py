@@ -15,7 +15,7 @@ from unbend.atmosphere.barometer_errors import NO_ERRORS, BarometerErrors
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.flight import messages
-from unbend.flight.image_names import proposal
+from unbend.flight.image_names import propose_differences
 from unbend.geodesy import longitudes_near, offset_geodetic
 from unbend.messages import Message, Notes
 from unbend.notebook import html_table, new_axes
@@ -32,12 +32,12 @@ NO_ATTITUDE = "no_attitude"
 HEIGHT_REFERENCE_UNKNOWN = "height_reference_unknown"
 UNMATCHED = "unmatched"
 SUSPECT = "suspect"
-NO_TIME = np.iinfo(np.int64).min  # time of a station that has none
+NO_TIME = np.iinfo(np.int64).min  # the ``time_ns`` of a station of unknown time
 _QUATERNIONS = ("quaternion", "aircraft_quaternion")
 
 
 def middle_time_ns(time_ns: Integers) -> int | None:
-    """The middle one of (s,) times of stations in their order; None where no station has one."""
+    """The median [Unix ns] of the known ones of (s,) times; None if all are `NO_TIME`."""
     known_ns = np.sort(time_ns[time_ns != NO_TIME])
     return int(known_ns[known_ns.size // 2]) if known_ns.size else None
 
@@ -49,11 +49,12 @@ class Stations:
     ``quaternion`` (s, 4) is w, x, y, z with v_camera = R(q) v_enu, east-north-up at the station,
     up along the ellipsoid normal, w >= 0; ``aircraft_quaternion`` likewise with v_body (forward,
     right, down). Positions are those of the projection centre. Air was measured at the exposure;
-    that of the cabin may be stated or assumed. ``sigma_tilt_rad`` is about each of the body's level
-    axes, ``sigma_yaw_rad`` about its vertical one. ``suspect_reason`` is empty but for stations
-    that contradict other evidence, which may be ``suspect_m`` off. ``status`` is ok or names what
-    is missing; ``accepted`` are suspect ones that the mission file wants used all the same.
-    ``from_boot`` marks times that count from a boot of the vehicle: their UTC is not known.
+    that of the cabin may be stated or assumed. ``sigma_horizontal_m`` is of each level axis,
+    ``sigma_tilt_rad`` about each of the body's level axes, ``sigma_yaw_rad`` about its vertical
+    axis. ``status`` is ok, or names what is missing, or is suspect: then ``suspect_reason`` is not
+    empty, and the station may be ``suspect_m`` off. ``accepted`` marks suspect stations that the
+    mission file wants used all the same. ``from_boot`` marks times that count from a boot of the
+    vehicle: their UTC is not known.
     """
 
     image: Names
@@ -89,26 +90,26 @@ class Stations:
             object.__setattr__(self, "from_boot", np.zeros(n, np.bool_))
         for column in fields(self):
             shape = getattr(self, column.name).shape
-            due = (n, 4) if column.name in _QUATERNIONS else (n,)
-            if shape != due:
+            expected = (n, 4) if column.name in _QUATERNIONS else (n,)
+            if shape != expected:
                 raise ValueError(f"stations: {column.name} is {shape} for {n} stations")
 
     def __len__(self) -> int:
         return int(self.image.shape[0])
 
     def __repr__(self) -> str:
-        """How many stations each camera has and how many have each status, and when they were."""
-        of_cameras = counts_in_words(self.camera)
-        of_status = counts_in_words(self.status)
+        """How many stations each camera has, how many have each status, and the time span."""
+        by_camera = counts_in_words(self.camera)
+        by_status = counts_in_words(self.status)
         known_ns = self.utc_ns[self.utc_ns != NO_TIME]
-        when = "no UTC"
+        span = "no UTC"
         if known_ns.size:
             first, last = np.array([known_ns.min(), known_ns.max()]).astype("datetime64[ns]")
-            when = f"{first.astype('datetime64[s]')} to {last.astype('datetime64[s]')} UTC"
-        return f"<Stations: {of_cameras}; {of_status}; {when}>"
+            span = f"{first.astype('datetime64[s]')} to {last.astype('datetime64[s]')} UTC"
+        return f"<Stations: {by_camera}; {by_status}; {span}>"
 
     def _repr_html_(self) -> str:
-        """Places, heights and status, as a notebook shows them."""
+        """A table of names, times, places, heights and status, for notebooks."""
         columns = {
             "image": self.image,
             "camera": self.camera,
@@ -123,50 +124,54 @@ class Stations:
 
     @property
     def ok(self) -> Mask:
-        """(s,) which stations can be used."""
+        """(s,) True for stations that can be used: status ok, or suspect and accepted."""
         return np.asarray((self.status == STATION_OK) | self.accepted)
 
     @property
     def utc_ns(self) -> Integers:
-        """(s,) UTC [Unix ns]; `NO_TIME` where it is not known."""
+        """(s,) UTC [Unix ns]; `NO_TIME` where it is unknown."""
         return np.where(self.from_boot, NO_TIME, self.time_ns)
 
     @property
     def mean_latitude_rad(self) -> float:
-        """Latitude of the flight [rad]; 45 degrees where no station has one."""
+        """Mean latitude of the flight [rad]; 45 degrees if no station has a latitude."""
         latitudes_rad = self._known_of_usable(self.lat_rad)
         return float(latitudes_rad.mean()) if latitudes_rad.size else float(np.pi / 4.0)
 
     @property
     def median_longitude_rad(self) -> float:
-        """The median longitude of the flight [rad], within half a turn; NaN without any."""
+        """The median longitude of the flight [rad], in [-pi, pi]; NaN if all are unknown."""
         longitudes_rad = self._known_of_usable(self.lon_rad)
         if not longitudes_rad.size:
             return math.nan
         median = float(np.median(longitudes_near(longitudes_rad, longitudes_rad[0])))
-        return math.remainder(median, 2.0 * math.pi)  # exact where it is within half a turn
+        return math.remainder(median, 2.0 * math.pi)  # a median in [-pi, pi] keeps all its bits
 
     def _known_of_usable(self, values: Array) -> Array:
-        """The known values of stations that can be used; of all, where none of those has one.
+        """The known (not NaN) ones of (s,) values, of usable stations only.
 
-        The place of a suspect station would move the middle of the flight.
+        The place of a suspect station would move the middle of the flight. Without a known value at
+        a usable station, those of all stations are returned.
         """
         is_known = np.isfinite(values)
         usable = is_known & self.ok
         return values[usable] if bool(usable.any()) else values[is_known]
 
     def with_status(self, where: Mask, status: str) -> Stations:
-        """The stations with another status where a mask is True and they were ok."""
-        changed = where & self.ok
-        accepted = self.accepted & ~changed
-        return replace(self, status=np.where(changed, status, self.status), accepted=accepted)
+        """Give the usable stations for which ``where`` (s,) is True another status.
+
+        Stations that cannot be used (`ok` is False) keep the status that they have.
+        """
+        is_changed = where & self.ok
+        accepted = self.accepted & ~is_changed
+        return replace(self, status=np.where(is_changed, status, self.status), accepted=accepted)
 
     def as_suspect(self, where: Mask, reason: str, off_m: float | Array, *, use: bool) -> Stations:
-        """The stations marked as suspect where a mask is True and they were usable or suspect.
+        """Mark the stations for which ``where`` (s,) is True as suspect.
 
-        ``off_m`` is how far off they may be [m], NaN where unknown. A reason is added to those that
-        a station has. ``use`` leaves the marked stations usable (`ok`); a station that was suspect
-        and not usable is then not marked, and stays so.
+        Only usable stations are marked and, with ``use`` False, those that are suspect already.
+        ``use`` True leaves marked stations usable (`ok`). ``off_m`` is how far off they may be [m],
+        NaN where unknown. The reason is added to those that a station has.
         """
         can_be_marked = self.ok
         if not use:
@@ -184,12 +189,16 @@ class Stations:
         )
 
     def moved(self, enu_m: NDArray[np.float64]) -> Stations:
-        """The stations moved by (s, 3) metres east, north and up, where these are known."""
+        """The stations moved by (s, 3) metres east, north and up.
+
+        Stations with an unknown place, or an unknown move (NaN), stay.
+        """
         rows = np.flatnonzero(np.isfinite(enu_m).all(axis=1) & np.isfinite(self.lat_rad))
-        # Only the difference counts here, so any height will do where the ellipsoidal is unknown.
+        # Only the change of height counts: where the ellipsoidal height is unknown, that above sea
+        # level or 0 m serves as the start.
         ellipsoidal_m = self.h_ellipsoid_m[rows]
-        any_height_m = np.nan_to_num(self.h_msl_m[rows])
-        start_m = np.where(np.isfinite(ellipsoidal_m), ellipsoidal_m, any_height_m)
+        substitute_m = np.nan_to_num(self.h_msl_m[rows])
+        start_m = np.where(np.isfinite(ellipsoidal_m), ellipsoidal_m, substitute_m)
         lat_rad = self.lat_rad.copy()
         lon_rad = self.lon_rad.copy()
         h_msl_m = self.h_msl_m.copy()
@@ -203,9 +212,9 @@ class Stations:
             self, lat_rad=lat_rad, lon_rad=lon_rad, h_msl_m=h_msl_m, h_ellipsoid_m=h_ellipsoid_m
         )
 
-    def rows(self, which: Integers) -> Stations:
-        """Some of the stations, in the order of ``which``."""
-        chosen = {column.name: getattr(self, column.name)[which] for column in fields(self)}
+    def rows(self, numbers: Integers) -> Stations:
+        """The stations of these row numbers, in their order."""
+        chosen = {column.name: getattr(self, column.name)[numbers] for column in fields(self)}
         return Stations(**chosen)
 
     def to_pandas(self) -> Any:
@@ -215,7 +224,7 @@ class Stations:
         return pd.DataFrame(station_columns(self))
 
     def plot(self, axis: Axes | None = None) -> Axes:
-        """Draw the stations from above, camera by camera, and crosses where one cannot be used.
+        """Draw the stations from above, camera by camera; those that cannot be used as crosses.
 
         ``axis`` : axes to draw on; by default those of a new figure. Refuses (ConfigError
         PLOT-MATPLOTLIB) where matplotlib is not installed.
@@ -231,7 +240,7 @@ class Stations:
         unusable = ~self.ok & np.isfinite(latitude_deg + longitude_deg)
         if unusable.any():
             axis.plot(longitude_deg[unusable], latitude_deg[unusable], "rx", label="not usable")
-        # A degree of longitude is shorter than one of latitude.
+        # A degree of longitude is shorter than a degree of latitude.
         axis.set_aspect(1.0 / math.cos(self.mean_latitude_rad), adjustable="datalim")
         axis.ticklabel_format(useOffset=False)
         axis.set_xlabel("longitude [deg]")
@@ -241,7 +250,9 @@ class Stations:
 
 
 def counts_in_words(words: Names) -> str:
-    """How often each word is there, the most frequent first.
+    """How often each word occurs, the most frequent first.
+
+    The empty word is written as "without a camera".
 
     >>> counts_in_words(np.array(["ok", "in_gap", "ok"], dtype=object))
     '2 ok, 1 in_gap'
@@ -251,7 +262,7 @@ def counts_in_words(words: Names) -> str:
 
 
 def empty_stations(image: Names, camera: Names, status: str) -> Stations:
-    """Stations of which only the name is known."""
+    """Stations with names and a status only: no time, and NaN in all other columns."""
     n = image.shape[0]
     columns: dict[str, Any] = {column.name: np.full(n, np.nan) for column in fields(Stations)}
     for name in _QUATERNIONS:
@@ -275,7 +286,7 @@ def join_stations(parts: list[Stations]) -> Stations:
 
 
 def station_columns(stations: Stations) -> dict[str, Any]:
-    """Columns of ``stations.parquet``: degrees, UTC, null (NaT, NaN) where unknown."""
+    """The columns of ``stations.parquet`` by name: degrees, UTC; NaT, NaN or None if unknown."""
     columns: dict[str, Any] = {}
     for name in (column.name for column in fields(stations)):
         if name == "time_ns":
@@ -298,17 +309,17 @@ def _columns_of_field(name: str, values: NDArray[Any]) -> dict[str, Any]:
 
 
 def _utc(time_ns: Integers) -> NDArray[np.datetime64]:
-    """Times of stations as UTC; NaT where there is none."""
+    """Times [Unix ns] as numpy times; NaT for `NO_TIME`."""
     time = time_ns.astype("datetime64[ns]")
     time[time_ns == NO_TIME] = np.datetime64("NaT", "ns")
     return time
 
 
 def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tuple[Stations, Notes]:
-    """The stations, with a further row for each observed image that has no exposure.
+    """Append a station of status UNMATCHED for each observed image that has no exposure.
 
-    ``images``: the observed ones. Reported are images without an exposure, and exposures without an
-    observed image.
+    ``images``: all images with observations. Images without an exposure are reported, and exposures
+    without an observed image.
     """
     observed = np.array(images, dtype=str)
     is_unused = ~np.isin(stations.image.astype(str), observed)
@@ -324,7 +335,7 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
             images=unknown,
             unused=unused,
             like=_neighbour_by_name(stations, unknown[0]),
-            proposal=proposal(unknown, stations.image.tolist()),
+            proposal=propose_differences(unknown, stations.image.tolist()),
         )
     )
     image = np.array(unknown, dtype=object)
@@ -334,7 +345,10 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
 
 
 def _neighbour_by_name(stations: Stations, image: str) -> str | None:
-    """The exposure before an image in the order of names, whose name probably begins alike."""
+    """The exposure that precedes an image in the order of names: it probably begins like the image.
+
+    The first exposure if the image precedes all; None without exposures.
+    """
     if len(stations) == 0:
         return None
     ordered = np.sort(stations.image.astype(str))
@@ -342,10 +356,10 @@ def _neighbour_by_name(stations: Stations, image: str) -> str | None:
     return str(ordered[max(before, 0)])
 
 
-# Barometer against profile at one exposure: 8 hPa are some 80 m of height.
+# Between barometer and profile at one exposure: 8 hPa are some 80 m of height.
 LARGEST_PRESSURE_MISFIT_PA = 800.0
 
-_SCALE_M_PER_K = 29.27  # the gas constant of dry air over gravity: scale height for each kelvin
+_SCALE_M_PER_K = 29.27  # gas constant of dry air over gravity: scale height over temperature [m/K]
 
 
 def flag_height_misfits(
@@ -355,11 +369,11 @@ def flag_height_misfits(
     *,
     use_suspect: bool = False,
 ) -> tuple[Stations, Notes]:
-    """Mark stations whose pressure is more than 8 hPa from what their barometer should read.
+    """Mark stations as suspect if their pressure is more than 8 hPa from the expected reading.
 
-    That is the pressure of the flight's profile with the ``errors`` of the barometer which the
-    flight determined. Their height is wrong, or their barometer failed. They stay usable with
-    ``use_suspect``.
+    That is the pressure of the profile at the station's height, with the ``errors`` of the
+    barometer. Either the height is wrong, or the barometer failed. With ``use_suspect`` the
+    stations stay usable.
     """
     expected_pa = errors.reading(profile.pressure(stations.h_msl_m))
     misfit_pa = np.abs(stations.pressure_pa - expected_pa)
@@ -380,7 +394,7 @@ def flag_height_misfits(
 
 
 def unusable_station_notes(stations: Stations) -> Iterator[Message]:
-    """A loss for each reason why stations cannot be used."""
+    """A loss for each status other than ok and UNMATCHED, with the images that have it."""
     for status in sorted(set(stations.status.tolist()) - {STATION_OK, UNMATCHED}):
         images = stations.image[stations.status == status]
         yield messages.stations_flagged(status=status, images=images.tolist())
@@ -388,7 +402,7 @@ def unusable_station_notes(stations: Stations) -> Iterator[Message]:
 
 @dataclass(frozen=True)
 class SigmaLimits:
-    """The largest sigmas of stations that a mission allows; None for any."""
+    """The largest sigmas of stations that a mission allows; None for no limit."""
 
     horizontal_m: float | None = None
     height_m: float | None = None
@@ -396,9 +410,9 @@ class SigmaLimits:
 
 
 def sigma_notes(stations: Stations, limits: SigmaLimits) -> Iterator[Message]:
-    """The median sigmas of the stations, and a loss for each limit that some stations exceed.
+    """Report the median sigmas of usable stations, and each limit that some of them exceed.
 
-    An unknown sigma exceeds every limit.
+    An unknown sigma (NaN) exceeds every limit.
     """
     ok = stations.ok
     if not ok.any():
@@ -441,16 +455,19 @@ class _StationSigma:
 
     @property
     def median(self) -> str:
-        """The median, as a note writes it."""
+        """The quantity with the median of its known values and the unit, for a note."""
         if not np.isfinite(self.values).any():
             return f"{self.quantity} unknown"
         return f"{self.quantity} {np.nanmedian(self.values):.2f} {self.unit}"
 
     def beyond_limit(self, image: Names) -> Iterator[Message]:
-        """The loss of stations whose sigma exceeds the limit or is unknown, if there is a limit."""
+        """The loss of stations with a sigma that exceeds the limit or is unknown.
+
+        ``image`` : (m,) names of the stations. No message without a limit.
+        """
         if self.limit is None:
             return
-        count = int(np.count_nonzero(~(self.values <= self.limit)))  # NaN too
+        count = int(np.count_nonzero(~(self.values <= self.limit)))  # counts NaN too
         if count == 0:
             return
         worst = int(np.argmax(np.nan_to_num(self.values, nan=np.inf)))

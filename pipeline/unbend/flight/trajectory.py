@@ -1,4 +1,4 @@
-"""Position and attitude at an instant, never through a gap."""
+"""Position and attitude interpolated at an instant, but not over gaps."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ RATES = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 RATE_LAG_S = 0.1  # gyroscopes are filtered at 20 Hz; with it 10 Hz samples gain nothing in gusts
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])  # signs of the inverse of a rotation x, y, z, w
-_SLOPE_GAP_S = 0.5  # between slopes of another channel, unless that is slower
-_SHORTEST_S = 1e-9  # of an interval: what is divided by is never 0
+_SLOPE_GAP_S = 0.5  # the largest between slopes of another channel, unless that is slower
+_SHORTEST_S = 1e-9  # the least length of an interval, so that nothing is divided by 0
 _LEAST_PARALLEL_M = 1e4  # radius; nearer to a pole no bend in longitude is added
 
 
 @dataclass(frozen=True)
 class _BendLimits:
-    """How far slopes may differ from the straight line between samples; else they contradict it."""
+    """How much slope times interval may differ from the step; beyond that slopes are not used."""
 
-    over_interval: float  # by which they may always differ, over one interval
-    per_s2: float  # the acceleration that an aircraft can have
+    constant: float  # [m] or [rad]
+    acceleration: float  # that an aircraft can have [m/s2] or [rad/s2]
 
     def allowed(self, interval_s: Array) -> Array:
-        """The largest difference over intervals."""
-        by_acceleration = self.per_s2 * interval_s**2 / 2.0
-        return np.asarray(self.over_interval + by_acceleration)
+        """The largest difference over intervals [s]."""
+        by_acceleration = self.acceleration * interval_s**2 / 2.0
+        return np.asarray(self.constant + by_acceleration)
 
 
-# Twice what aircraft of survey do.
-_LIMITS_M = _BendLimits(over_interval=1.0, per_s2=20.0)
-_LIMITS_RAD = _BendLimits(over_interval=0.02, per_s2=20.0)
+# Twice what survey aircraft do.
+_LIMITS_M = _BendLimits(constant=1.0, acceleration=20.0)
+_LIMITS_RAD = _BendLimits(constant=0.02, acceleration=20.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Places at instants, (m,); NaN where ``coverage`` (by `bracket`) is not INSIDE.
+    """Places at (m,) instants; NaN where ``coverage`` (as in `Bracket`) is not INSIDE.
 
     ``velocity_m_s`` (m, 2) north and east, the mean between the neighbouring samples; ``sigma_m``
-    (m, 2) of the interpolation alone.
+    (m, 2) north and east, of the interpolation alone.
     """
 
     lat_rad: Array
@@ -60,10 +60,10 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Attitudes:
-    """Attitudes at instants, (m, 4) w, x, y, z with v_ned = R(q) v_body; NaN where there is none.
+    """Attitudes at (m,) instants, w, x, y, z with v_ned = R(q) v_body; NaN where unknown.
 
     ``rate_rad_s`` (m, 3) about the body's axes, the mean between the neighbouring samples;
-    ``sigma_rad`` (m, 3) of the interpolation alone; ``coverage`` by `bracket`.
+    ``sigma_rad`` (m, 3) of the interpolation alone; ``coverage`` as in `Bracket`.
     """
 
     quaternion: Array
@@ -77,10 +77,10 @@ def with_slopes(
     donors: Iterable[Channel],
     names: tuple[str, ...],
 ) -> Channel:
-    """The channel with slopes (columns `VELOCITY` or `RATES`) of another channel of its sender.
+    """Add columns of slopes (``names``: `VELOCITY` or `RATES`) from another channel.
 
-    They are interpolated from the first of ``donors`` of the same sender that has them. A channel
-    that has them itself, or finds no donor, is returned as it is.
+    They are interpolated from the first of ``donors`` that has them and is of the same MAVLink
+    system. A channel that has them itself, or finds no donor, is returned unchanged.
     """
     if _has_columns(channel, names):
         return channel
@@ -96,14 +96,15 @@ def with_slopes(
 
 
 def _has_columns(channel: Channel, names: tuple[str, ...]) -> bool:
+    """Whether a channel has all of these columns."""
     return all(name in channel.columns for name in names)
 
 
 def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
     """Places at (m,) instants, by a cubic through the neighbouring samples with their velocities.
 
-    The straight part interpolates the normal vector of the ellipsoid; to it the bend of the cubic
-    is added. Velocities are those logged (`VELOCITY`), else those of parabolas through three
+    The straight part interpolates the normal vector of the ellipsoid; the bend of the cubic is
+    added to it. Velocities are those logged (`VELOCITY`), else those of parabolas through three
     samples.
 
     Errors (rms) from samples of 1 Hz, against 10 Hz, in a simulator flight at 35 m/s with turns:
@@ -116,7 +117,8 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
     lat = channel["lat_rad"]
     lon = channel["lon_rad"]
 
-    def metres(first: Rows, second: Rows) -> Array:
+    def north_east_m(first: Rows, second: Rows) -> Array:
+        """(m, 2) metres from samples to other samples of the channel."""
         meridian_m, prime_vertical_m = principal_radii(lat[first])
         north_rad = lat[second] - lat[first]
         east_rad = wrapped(lon[second] - lon[first])
@@ -124,7 +126,7 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
         east_m = east_rad * prime_vertical_m * np.cos(lat[first])
         return np.stack([north_m, east_m], axis=1)
 
-    curve = _Curve(channel, VELOCITY[:2], metres, _LIMITS_M)
+    curve = _Curve(channel, VELOCITY[:2], north_east_m, _LIMITS_M)
     bend_m = curve.between(samples).bend
 
     straight_lat, straight_lon = _along_normal_vectors(lat, lon, samples)
@@ -142,7 +144,10 @@ def track_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Track:
 
 
 def _bend_in_radians(bend_m: Array, lat_rad: Array) -> tuple[Array, Array]:
-    """(m,) changes of latitude and longitude [rad] by metres north and east (m, 2)."""
+    """(m,) changes of latitude and of longitude [rad] by (m, 2) metres north and east.
+
+    Near a pole the change of longitude is 0.
+    """
     meridian_m, prime_vertical_m = principal_radii(lat_rad)
     parallel_m = prime_vertical_m * np.cos(lat_rad)
     is_off_pole = parallel_m > _LEAST_PARALLEL_M
@@ -157,12 +162,16 @@ def _along_normal_vectors(
     lon: Array,
     samples: Bracket,
 ) -> tuple[Array, Array]:
-    """(m,) latitude and longitude [rad] of normal vectors interpolated between samples."""
+    """(m,) latitudes and longitudes [rad] of normal vectors interpolated between samples.
+
+    ``lat``, ``lon``: (n,) [rad] of all samples of the channel.
+    """
 
     def normals(rows: Rows) -> Array:
-        level = np.cos(lat[rows])
-        x = level * np.cos(lon[rows])
-        y = level * np.sin(lon[rows])
+        """(3, m) normal vectors of the ellipsoid at samples."""
+        equatorial = np.cos(lat[rows])
+        x = equatorial * np.cos(lon[rows])
+        y = equatorial * np.sin(lon[rows])
         z = np.sin(lat[rows])
         return np.stack([x, y, z])
 
@@ -176,9 +185,9 @@ def _along_normal_vectors(
 
 @dataclass(frozen=True, eq=False)
 class HeightBend:
-    """How heights differ from linear ones at instants, (m,) arrays.
+    """How heights at (m,) instants differ from heights interpolated linearly.
 
-    ``metres_up`` is what to add to a linear height, ``sigma_m`` that of the interpolation alone.
+    ``metres_up`` is to be added to the linear height; ``sigma_m`` is of the interpolation alone.
     """
 
     metres_up: Array
@@ -187,7 +196,7 @@ class HeightBend:
 
 
 def no_bend(count: int) -> HeightBend:
-    """The bend of (count,) heights that are taken as linear, and whose speed is not known."""
+    """No correction of ``count`` linear heights; their unknown speed and sigma are taken as 0."""
     return HeightBend(
         metres_up=np.zeros(count),
         speed_down_m_s=np.zeros(count),
@@ -198,7 +207,7 @@ def no_bend(count: int) -> HeightBend:
 def bend_of_heights(
     channel: Channel, column: str, time_ns: TimeArray, max_gap_s: float
 ) -> HeightBend:
-    """How heights in a column curve between samples, by the cubic of `track_at`."""
+    """How the heights in a column bend between samples, by the cubic of `track_at`."""
     values = channel[column]
     samples = bracket(channel, time_ns, max_gap_s)
 
@@ -220,17 +229,17 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
 
     Rates about the body's axes are those logged (`RATES`), else those of parabolas through three
     samples; without either the turn is the shortest (slerp). The turn phi from the sample before
-    obeys d phi / dt = J_r(phi)^-1 rate (Sola et al. 2018, A micro Lie theory, Eqs. 143-144), whose
+    obeys d phi / dt = J_r(phi)^-1 rate (Sola et al. 2018, A micro Lie theory, Eqs. 143-144); the
     inverse Jacobian is expanded to the second order.
 
     Errors (rms) between samples of 2 Hz, in the turns of a simulator flight: by the cubic 0.26 deg
     in calm air and 0.9 deg in gusts, by slerp 1.4 deg.
     """
-    all_samples = bracket(channel, time_ns, max_gap_s)
+    bracket_of_all = bracket(channel, time_ns, max_gap_s)
     unit = _unit_quaternions(channel)
     is_known = np.asarray(np.isfinite(unit).all(axis=1))
-    between_known = is_known[all_samples.before] & is_known[all_samples.after]
-    is_inside = all_samples.coverage == INSIDE
+    between_known = is_known[bracket_of_all.before] & is_known[bracket_of_all.after]
+    is_inside = bracket_of_all.coverage == INSIDE
     usable = is_inside & between_known
     # The rows of usable instants are filled in below.
     instants = time_ns.size
@@ -238,13 +247,14 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
         quaternion=np.full((instants, 4), np.nan),
         rate_rad_s=np.full((instants, 3), np.nan),
         sigma_rad=np.full((instants, 3), np.nan),
-        coverage=all_samples.coverage,
+        coverage=bracket_of_all.coverage,
     )
     if not bool(usable.any()):
         return attitudes
-    samples = all_samples.rows(usable)
+    samples = bracket_of_all.rows(usable)
 
     def turn(first: Rows, second: Rows) -> Array:
+        """(m, 3) rotation vectors [rad], in body axes, from samples to other samples."""
         inverse = unit[first] * _CONJUGATE
         from_first = quaternion_products(inverse, unit[second])
         return rotation_vectors(from_first)
@@ -267,14 +277,14 @@ def attitude_at(channel: Channel, time_ns: TimeArray, max_gap_s: float) -> Attit
 
 
 def _canonical(quaternion: Array) -> Array:
-    """(m, 4) quaternions w, x, y, z with w >= 0 of quaternions x, y, z, w."""
+    """(m, 4) quaternions w, x, y, z with w >= 0, from quaternions x, y, z, w."""
     has_negative_w = quaternion[:, 3:] < 0.0
     canonical = np.where(has_negative_w, -quaternion, quaternion)
     return canonical[:, [3, 0, 1, 2]]
 
 
 def _unit_quaternions(channel: Channel) -> Array:
-    """(n, 4) attitudes of a channel x, y, z, w of length 1; not finite where there is none."""
+    """(n, 4) attitudes of a channel, x, y, z, w of length 1; NaN or inf where unknown or zero."""
     components = [
         channel["q_x"],
         channel["q_y"],
@@ -297,9 +307,10 @@ def _quaternions_of_vectors(vectors: Array) -> Array:
 
 
 class _CurvePieces(NamedTuple):
-    """(m, k) steps from the sample before an instant to the one after it, and the bend at it.
+    """The two parts of a curve at (m,) instants; (m, k) of k components.
 
-    The curve at an instant is the fraction of the step, plus the bend.
+    ``step``: from the sample before an instant to the sample after it. From the sample before to
+    the instant the curve goes ``fraction`` times the step, plus the ``bend``.
     """
 
     step: Array
@@ -308,21 +319,20 @@ class _CurvePieces(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """Cubics through neighbouring samples of a channel.
+    """Cubics through the samples of a channel: places (k = 2), heights (1) or attitudes (3).
 
     Slopes at samples are those of columns, or of the parabola through the sample and both its
-    neighbours. They contradict the samples where they differ from the straight line by more than
-    ``limits`` allow.
+    neighbours. They are not used where they differ from the straight line by more than ``limits``.
     """
 
     channel: Channel
-    slopes: tuple[str, ...]  # columns [per s]
-    difference: Callable[[Rows, Rows], Array]  # (m, k) of the samples of two arrays of rows
+    slopes: tuple[str, ...]  # names of k columns [per s]; used if the channel has them
+    difference: Callable[[Rows, Rows], Array]  # (m, k) from samples in rows to those in others
     limits: _BendLimits
-    lag_s: float = 0.0  # of the slopes: over shorter intervals the samples alone are better
+    lag_s: float = 0.0  # of the slopes: over shorter intervals they are hardly used
 
     def _seconds(self, first: Rows, second: Rows) -> Array:
-        """(m, 1) [s] between rows; NaN where the vehicle restarted."""
+        """(m, 1) seconds from rows to other rows; NaN where the vehicle restarted between them."""
         boot = self.channel.boot
         stamps = self.channel.time_ns
         is_same_boot = boot[first] == boot[second]
@@ -331,25 +341,23 @@ class _Curve:
         return seconds[:, None]
 
     def rate(self, samples: Bracket) -> Array:
-        """(m, k) mean slope between the samples about an instant, or beside one that it hits.
+        """(m, k) mean slope [per s] between the samples before and after an instant.
 
-        0 where that is unknown: between two boots, and of a single sample.
+        At the time of a sample that to the next sample, or from the last but one to the last. 0
+        where it is unknown: between two boots, and with a single sample.
         """
         last = len(self.channel) - 1
         last_but_one = max(last - 1, 0)
         first = np.clip(samples.before, 0, last_but_one)
-        later_than_first = np.maximum(samples.after, first + 1)
-        second = np.minimum(later_than_first, last)
+        second = np.maximum(samples.after, first + 1)
+        second = np.minimum(second, last)
         with np.errstate(invalid="ignore", divide="ignore"):
             difference = self.difference(first, second)
             slope = difference / self._seconds(first, second)
         return np.nan_to_num(slope)
 
     def between(self, samples: Bracket) -> _CurvePieces:
-        """The step between the samples about each instant, and the bend of the cubic at it.
-
-        The bend is 0 where the slopes contradict the samples.
-        """
+        """The step of the curve about each instant, and its bend; 0 where slopes are not used."""
         step = self.difference(samples.before, samples.after)
         apart_s = self._seconds(samples.before, samples.after)
         interval_s = np.maximum(apart_s, _SHORTEST_S)
@@ -364,10 +372,10 @@ class _Curve:
             is_credible = lengths(begin_beyond) <= allowed
             is_credible &= lengths(end_beyond) <= allowed
             u = samples.fraction[:, None]
-            # The cubic of Hermite less its straight line.
+            # Hermite's cubic minus its straight line.
             departure = (1.0 - u) * begin_beyond - u * end_beyond
             bend = u * (1.0 - u) * departure
-            # Slopes that lag say less of short intervals.
+            # Slopes that lag describe short intervals less well.
             square_s2 = interval_s**2
             bend *= square_s2 / (square_s2 + self.lag_s**2)
         credible_bend = np.where(is_credible[:, None], bend, 0.0)
@@ -379,10 +387,7 @@ class _Curve:
         step: Array,
         interval_s: Array,
     ) -> tuple[Array, Array]:
-        """(m, k) slopes, over the whole interval, at its begin and at its end.
-
-        By columns where the channel has them, else by parabolas.
-        """
+        """(m, k) slopes at the begin and at the end of each interval, times its length."""
         before = samples.before
         after = samples.after
         if _has_columns(self.channel, self.slopes):
@@ -403,40 +408,40 @@ class _Curve:
         first: Rows,
         second: Rows,
     ) -> Array:
-        """(m, k) slope of a parabola, over the whole interval, where that meets a neighbouring one.
+        """(m, k) slopes of parabolas where intervals meet a neighbouring one, times their length.
 
-        The neighbouring interval lies between the rows ``first`` and ``second``. Where that is too
-        long, or there is none, the slope is the step of the interval.
+        The neighbouring interval is from row ``first`` to row ``second``. If it is too long, or
+        there is none, the result is the ``step`` of the interval itself.
         """
-        beside_s = self._seconds(first, second)
-        step_beside = self.difference(first, second)
-        slope_beside = step_beside / beside_s
-        slope_inside = step / interval_s
-        # The nearer interval weighs more.
-        weighted_sum = slope_beside * interval_s + slope_inside * beside_s
-        slope = weighted_sum / (interval_s + beside_s)
-        farthest_s = _NEAR_INTERVALS * interval_s
-        is_near = (beside_s > 0.0) & (beside_s < farthest_s)
+        neighbour_s = self._seconds(first, second)
+        neighbour_step = self.difference(first, second)
+        neighbour_slope = neighbour_step / neighbour_s
+        own_slope = step / interval_s
+        # At the middle one of three samples; the shorter interval weighs more.
+        weighted_sum = neighbour_slope * interval_s + own_slope * neighbour_s
+        slope = weighted_sum / (interval_s + neighbour_s)
+        longest_s = _NEAR_INTERVALS * interval_s
+        is_near = (neighbour_s > 0.0) & (neighbour_s < longest_s)
         return np.where(is_near, slope * interval_s, step)
 
     def sigma(self, samples: Bracket) -> Array:
-        """(m, k) sigma of the curve between samples, from how well it predicts samples themselves.
+        """(m, k) sigma of the curve at instants, from how well such curves predict samples.
 
         Each of the four samples about an instant is predicted from its two neighbours, over twice
-        the interval; errors grow with the interval, and from the samples to the middle of it.
+        the usual interval. Errors grow with the interval, and from its ends to its middle.
         """
         four_rows = self._four_rows(samples)
         # Each sample is predicted once, however many instants it is near to.
         is_used = np.zeros(len(self.channel), np.bool_)
         is_used[four_rows] = True
         squares = self._squared_misfits(np.flatnonzero(is_used))
-        number_of_row = np.cumsum(is_used) - 1
-        four_numbers = number_of_row[four_rows]
+        place_in_squares = np.cumsum(is_used) - 1  # of each row that is used
+        four_places = place_in_squares[four_rows]
         sums = squares.sum(axis=1)
         is_known = np.isfinite(sums)[:, None]
         known_squares = np.where(is_known, squares, 0.0)
-        sum_of_squares = known_squares[four_numbers].sum(axis=0)
-        count = is_known[four_numbers].sum(axis=0)
+        sum_of_squares = known_squares[four_places].sum(axis=0)
+        count = is_known[four_places].sum(axis=0)
         mean_square = sum_of_squares / np.maximum(count, 1.0)
         misfit = np.sqrt(mean_square)
         u = samples.fraction[:, None]
@@ -446,7 +451,8 @@ class _Curve:
     def _four_rows(self, samples: Bracket) -> Rows:
         """(4, m) rows of the two samples before each instant and the two after it.
 
-        The first and the last sample have no neighbours on both sides: those beside them count.
+        The second sample replaces the first, and the last but one replaces the last: those have
+        no neighbour on one side.
         """
         last = len(self.channel) - 1
         before = samples.before
@@ -457,9 +463,9 @@ class _Curve:
         return np.clip(four_rows, first_inner, last_inner)
 
     def _squared_misfits(self, rows: Rows) -> Array:
-        """(s, k) squared differences of samples ``rows`` from the curve between their neighbours.
+        """(s, k) squared distances of samples in (s,) rows from the curve between their neighbours.
 
-        k are the components. The first and the last sample are their own neighbour.
+        The first and the last sample are their own neighbour on the side where they have none.
         """
         last = len(self.channel) - 1
         left = np.maximum(rows - 1, 0)
@@ -472,19 +478,20 @@ class _Curve:
             fraction=fraction[:, 0],
             coverage=np.full(rows.shape, INSIDE, np.uint8),
         )
-        chord, bend = self.between(neighbours)
-        along_chord = chord * fraction
-        since_left = self.difference(left, rows)
-        return np.square(since_left - along_chord - bend)
+        step, bend = self.between(neighbours)
+        straight_part = step * fraction
+        measured = self.difference(left, rows)
+        return np.square(measured - straight_part - bend)
 
 
-_NEAR_INTERVALS = 3.0  # a neighbour that is farther away, in intervals, is no part of a parabola
+_NEAR_INTERVALS = 3.0  # a neighbouring interval longer than so many own ones gives no parabola
 
 
 def _in_frame_of_begin(rate: Array, turn: Array) -> Array:
-    """(m, 3) how the vector of a turn changes at its end, by the rate about the axes of the body.
+    """(m, 3) rate of change of a rotation vector ``turn``, from the body's ``rate`` at its end.
 
-    That is J_r(turn)^-1 rate, to the second order of the turn (Sola et al. 2018, Eq. 144).
+    That is J_r(turn)^-1 rate, to the second order of the turn (Sola et al. 2018, Eq. 144). Both are
+    (m, 3), and ``rate`` is about the body's axes as they are after the turn.
     """
     across = np.cross(turn, rate)
     across_twice = np.cross(turn, across)

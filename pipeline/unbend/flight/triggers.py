@@ -1,4 +1,4 @@
-"""Commands of triggers and pulses of shutters: which of them a channel of events has."""
+"""Whether the events of a camera are commands of its trigger or pulses of its shutter."""
 
 from collections.abc import Iterator, Mapping
 
@@ -11,25 +11,25 @@ from unbend.flight.interpolation import ns_to_nearest
 from unbend.messages import Message, Notes
 from unbend.units import Array
 
-LONGEST_LAG_S = 1.0  # of a shutter behind its trigger; a later pulse is another exposure's
-FEWEST_PAIRS = 10  # of triggers and pulses, of which the median is a lag
-_NUMBERS_PER_BOOT = 1e6  # numbers of two power-ups are kept apart by this
+LONGEST_LAG_S = 1.0  # of a shutter behind its trigger; a later pulse is that of another exposure
+FEWEST_PAIRS = 10  # of triggers and pulses that are needed for a median lag
+_NUMBERS_PER_BOOT = 1e6  # is added to the numbers of each power-up, to make them distinct
 
 FEEDBACK_PARAMETER = "CAM_CAP_FBACK"
 """PX4's parameter: 1 where the camera reports its exposures; 0 where each trigger counts as one."""
 
 _SAME_TIME_NS = 1_000_000  # a capture this near to the command of a trigger has its time
-_MOST = 0.5  # share of the captures
+_SHARE_OF_MOST = 0.5  # a larger share of the captures is most of them
 
 
 def lag_from_feedback(
     channels: tuple[Channel, ...], trigger: Channel, camera: str
 ) -> tuple[ExposureDelay, Notes]:
-    """The shutter's lag behind the trigger, from triggers whose pulse is logged.
+    """The lag of the shutter behind the trigger, from triggers with a logged pulse of the shutter.
 
-    That is the median lag of pairs of one number and power-up, with the scatter of the pairs as
-    sigma. Refuses (MissionError EVENTS-FEEDBACK) fewer than ten pairs, or events that are no
-    triggers.
+    A trigger and a pulse with the same number and power-up are a pair. The lag is the median of the
+    pairs; its sigma is their scatter. Refuses (MissionError EVENTS-FEEDBACK) if there are fewer
+    than ten pairs, or ``trigger`` is a channel of pulses itself.
     """
     lags = np.empty(0)
     if is_trigger(trigger):
@@ -39,7 +39,8 @@ def lag_from_feedback(
         raise messages.too_few_feedback_pairs(
             camera=camera, channel=trigger.name, pairs=lags.size, needed=FEWEST_PAIRS
         )
-    low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])  # -1, 0 and +1 sigma
+    # -1, 0 and +1 sigma of normal errors.
+    low, middle, high = np.percentile(lags, [16.0, 50.0, 84.0])
     sigma_s = float(high - low) / 2.0
     message = messages.shutter_lag(
         camera=camera,
@@ -54,7 +55,7 @@ def lag_from_feedback(
 def shutter_finding(
     channels: tuple[Channel, ...], chosen: Channel, camera: str
 ) -> Iterator[Message]:
-    """Report commands of a trigger that are taken for exposures although pulses are logged."""
+    """A finding if ``chosen`` has the commands of a trigger, although its pulses are logged too."""
     if not is_trigger(chosen):
         return
     shutters = [channel for channel in _shutters_of(chosen, channels) if len(channel)]
@@ -70,7 +71,10 @@ def shutter_finding(
 
 
 def _lags_of_pairs(trigger: Channel, shots: Channel) -> Array:
-    """(k,) seconds from each trigger to the pulse of the same number and power-up."""
+    """(k,) seconds from a trigger to the pulse (``shots``) of the same number and power-up.
+
+    Only lags between 0 and `LONGEST_LAG_S` count.
+    """
     trigger_number = trigger["event_index"] + _NUMBERS_PER_BOOT * trigger.boot
     shot_number = shots["event_index"] + _NUMBERS_PER_BOOT * shots.boot
     _, trigger_row, shot_row = np.intersect1d(trigger_number, shot_number, return_indices=True)
@@ -88,19 +92,21 @@ def is_trigger(channel: Channel) -> bool:
 
 
 def _is_feedback(channel: Channel) -> bool:
-    """Whether the rows of PX4's camera_trigger say that they are pulses of the shutter."""
+    """Whether the rows of PX4's camera_trigger are pulses of the shutter, by their flag."""
     return "feedback" in channel.columns and bool((channel["feedback"] > 0.0).all())
 
 
 def trigger_notes(
     channels: tuple[Channel, ...], chosen: Channel, parameters: Mapping[str, float]
 ) -> Iterator[Message]:
-    """Report events that are triggers themselves, and triggers without a pulse of the shutter.
+    """Report if the events of a camera are triggers, and triggers without a pulse of the shutter.
 
-    ArduPilot logs TRIG at the trigger and CAM at the feedback of a camera with a feedback pin, and
-    without one CAM alone, at the trigger. Cameras fire apart: the rows of an instance belong to one
-    camera. PX4 logs camera_capture at the feedback, or, as its parameter CAM_CAP_FBACK says, at the
-    trigger; camera_trigger says of each row which it is. ``parameters`` are those of the log.
+    ``chosen``: the event channel of the camera. ``parameters``: those of the log.
+
+    * ArduPilot logs TRIG at the trigger and CAM at the pulse of a camera with a feedback pin;
+      without such a pin only CAM, at the trigger. The rows of an instance belong to one camera.
+    * PX4 logs camera_capture at the pulse or, depending on the parameter CAM_CAP_FBACK, at the
+      trigger; each row of camera_trigger has a flag that tells which.
     """
     kind = chosen.source.kind
     triggers = [
@@ -118,7 +124,7 @@ def trigger_notes(
 def _lost_pulses(
     channels: tuple[Channel, ...], chosen: Channel, triggers: list[Channel]
 ) -> Iterator[Message]:
-    """Report triggers of which fewer pulses than commands are logged."""
+    """Report each trigger of the camera with more commands than logged pulses."""
     for trigger in triggers:
         shutters = _shutters_of(trigger, channels)
         if chosen not in shutters:
@@ -136,14 +142,14 @@ def _lost_pulses(
 def _capture_notes(
     captures: Channel, triggers: list[Channel], parameters: Mapping[str, float]
 ) -> Iterator[Message]:
-    """Report captures of PX4 that have the times of the triggers, or may have them.
+    """Report if captures of PX4 have the times of trigger commands, or may have them.
 
-    They have them by the parameter, or if most have the time of a command. They may have them if
-    neither the parameter nor commands are logged.
+    They have these times if the parameter is 0, or if most of them have the time of a command. They
+    may have them if neither the parameter nor commands are logged.
     """
     feedback = parameters.get(FEEDBACK_PARAMETER)
     commands = [trigger for trigger in triggers if "feedback" in trigger.columns]
-    are_commands = any(_has_times_of(captures, trigger) for trigger in commands)
+    are_commands = any(_most_have_times_of(captures, trigger) for trigger in commands)
     if feedback == 0.0 or are_commands:
         yield messages.trigger_times(channel=captures.name, events=len(captures))
     elif feedback is None and not commands:
@@ -152,16 +158,16 @@ def _capture_notes(
         )
 
 
-def _has_times_of(captures: Channel, trigger: Channel) -> bool:
-    """Whether most captures have the time of a command of a trigger."""
+def _most_have_times_of(captures: Channel, trigger: Channel) -> bool:
+    """Whether most captures have the time of a command of a trigger, to 1 ms."""
     if len(captures) == 0 or len(trigger) == 0:
         return False
     is_same = ns_to_nearest(captures.time_ns, trigger.time_ns) < _SAME_TIME_NS
-    return bool(np.mean(is_same) > _MOST)
+    return bool(np.mean(is_same) > _SHARE_OF_MOST)
 
 
 def _shutters_of(trigger: Channel, channels: tuple[Channel, ...]) -> list[Channel]:
-    """The channels of shutter events that may be of the camera of a trigger."""
+    """The channels with pulses of a shutter that may be of the camera of a trigger."""
     shutters = []
     for channel in channels:
         if trigger.source.kind == "TRIG":
@@ -174,9 +180,10 @@ def _shutters_of(trigger: Channel, channels: tuple[Channel, ...]) -> list[Channe
 
 
 def _are_of_one_system(trigger: Channel, shots: Channel) -> bool:
-    """Whether a trigger may be that of some events: both are of ArduPilot, or neither is.
+    """Whether ``trigger`` and ``shots`` may be of one camera.
 
-    A trigger without instance may be of any camera, else it is that of its own instance.
+    Both must be messages of ArduPilot, or neither. A trigger without instance may be of any camera;
+    else both must have the same instance.
     """
     is_of_ardupilot = trigger.source.kind == "TRIG"
     shots_are_of_ardupilot = shots.source.kind in ("CAM", "TRIG")

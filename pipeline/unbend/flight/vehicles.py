@@ -1,4 +1,4 @@
-"""The vehicles of one log, kept apart by who sent the messages and by where they were."""
+"""The vehicles of one log, distinguished by the senders of messages and by their positions."""
 
 from __future__ import annotations
 
@@ -8,23 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.sources import metres, places_of
+from unbend.flight.evidence.sources import north_east_m, places_of
 from unbend.flight.evidence.stretches import ATTITUDE, POSITION
 from unbend.flight.interpolation import interpolate
 
-APART_M = 10.0  # of two receivers of one vehicle, in the median: antennas and their errors
+# The largest median distance of two receivers of one vehicle: of their antennas, and their errors.
+APART_M = 10.0
 
 _GAP_S = 5.0  # between positions that are compared
-_MOST_SAMPLES = 1_000  # of a track that is compared with another
+_MOST_SAMPLES = 1_000  # that are compared of a track, roughly
 
 
 @dataclass(frozen=True)
 class Vehicles:
-    """The vehicles of a log by name; ``names`` is empty where the log has one vehicle, or none.
+    """The vehicles of a log by name; ``names`` is empty if the log has one vehicle, or none.
 
-    A system of MAVLink with positions or attitudes is a vehicle of its own. So is the namespace of
-    topics, ``depth`` parts of their names, if the positions of two are more than 10 m apart: names
-    of topics may as well be those of the receivers of one vehicle.
+    If several systems of MAVLink send positions or attitudes, each is a vehicle. So is each
+    namespace of topics with positions, if two of these are more than 10 m apart; if they are not,
+    the namespaces may be those of the receivers of one vehicle. ``depth``: how many parts of the
+    name of a topic are its namespace.
     """
 
     names: tuple[str, ...] = ()
@@ -32,9 +34,9 @@ class Vehicles:
 
     @classmethod
     def of(cls, channels: Iterable[Channel]) -> Vehicles:
-        """The vehicles among the senders of positions, and systems that send their attitude.
+        """The vehicles among the senders of the channels of a log.
 
-        A system without a fix is a vehicle as well: its attitude is not that of another one.
+        A system that sends only its attitude, because it has no fix, is a vehicle as well.
         """
         filled = [channel for channel in channels if len(channel)]
         with_positions = [channel for channel in filled if POSITION in channel.roles]
@@ -47,14 +49,14 @@ class Vehicles:
             for channel in filled
             if channel.source.system is not None and {POSITION, ATTITUDE} & set(channel.roles)
         }
-        if len(systems) > 1:  # whatever is between their positions
+        if len(systems) > 1:  # however near they are to each other
             return cls(tuple(sorted(systems)), depth)
         if len(tracks) > 1 and _are_apart(list(tracks.values())):
             return cls(tuple(sorted(tracks)), depth)
         return cls()
 
     def of_channel(self, channel: Channel) -> str:
-        """The vehicle that sent a channel; "" where none did, or there is only one."""
+        """The name of the vehicle that sent a channel; "" if none did, or there is only one."""
         sender = _sender(channel, self.depth)
         return sender if sender in self.names else ""
 
@@ -62,46 +64,53 @@ class Vehicles:
         self,
         vehicle: str,
         channels: Sequence[Channel],
-        kept: Collection[str] = (),
+        also_named: Collection[str] = (),
     ) -> tuple[Channel, ...]:
-        """The channels of a vehicle, those of no vehicle, and the ``kept`` ones by their names."""
+        """The channels of a vehicle, those of no vehicle, and those named in ``also_named``."""
         return tuple(
             channel
             for channel in channels
-            if self.of_channel(channel) in ("", vehicle) or channel.name in kept
+            if self.of_channel(channel) in ("", vehicle) or channel.name in also_named
         )
 
 
 def _sender(channel: Channel, depth: int) -> str:
-    """The sender of a channel: a system of MAVLink, or the namespace of a topic."""
+    """The name of the sender of a channel: a system of MAVLink, or the namespace of its topic.
+
+    ``depth`` : number of parts of the namespace; a topic without more parts than that has "/".
+    """
     if channel.source.system is not None:
         return f"system {channel.source.system}"
-    parts = _parts(channel)
-    return "/" + "/".join(parts[:depth] if len(parts) > depth else [])
+    parts = _parts_of_name(channel)
+    namespace = parts[:depth] if len(parts) > depth else []
+    return "/" + "/".join(namespace)
 
 
-def _parts(channel: Channel) -> list[str]:
-    """The parts of the name of a topic."""
+def _parts_of_name(channel: Channel) -> list[str]:
+    """The parts of the name of a topic, which slashes separate."""
     return channel.name.strip("/").split("/")
 
 
 def _namespace_depth(channels: Sequence[Channel]) -> int:
-    """How many parts of the names of topics are a namespace: those all share, and one more."""
+    """How many parts of the names of topics are the namespace: all common ones, and one more."""
     depth = 1
-    for parts in zip(*(_parts(channel) for channel in channels), strict=False):
-        if len(set(parts)) > 1:
+    for same_place in zip(*(_parts_of_name(channel) for channel in channels), strict=False):
+        if len(set(same_place)) > 1:
             break
         depth += 1
     return depth
 
 
 def _are_apart(tracks: Sequence[Channel]) -> bool:
-    """Whether a track is apart from the first of some tracks."""
+    """Whether any track is more than `APART_M` from the first one, in the median."""
     return any(median_distance_m(tracks[0], other) > APART_M for other in tracks[1:])
 
 
 def median_distance_m(track: Channel, other: Channel) -> float:
-    """How far apart two tracks are in the median [m], at the times of the other; NaN if never."""
+    """The median distance of two tracks [m], at the times of ``other``.
+
+    NaN if they have no time in common.
+    """
     is_compared = np.zeros(len(other), np.bool_)
     is_compared[:: max(len(other) // _MOST_SAMPLES, 1)] = True
     compared = other.rows(is_compared)
@@ -115,7 +124,7 @@ def median_distance_m(track: Channel, other: Channel) -> float:
         )
         for name in ("lat_rad", "lon_rad")
     ]
-    change = np.stack(columns, axis=1) - places_of(compared, POSITION)
-    distance_m = np.linalg.norm(metres(change, compared["lat_rad"]), axis=1)
+    change = np.stack(columns, axis=1) - places_of(compared, POSITION)  # of lat, lon [rad]
+    distance_m = np.linalg.norm(north_east_m(change, compared["lat_rad"]), axis=1)
     is_known = np.isfinite(distance_m)
     return float(np.median(distance_m[is_known])) if is_known.any() else float("nan")

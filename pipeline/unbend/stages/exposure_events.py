@@ -16,7 +16,7 @@ from unbend.flight.exposures import (
     events_of_channel,
     refuse_repeated_images,
 )
-from unbend.flight.image_names import renamed
+from unbend.flight.image_names import renamed_like_images
 from unbend.flight.rotations import CAMERA_AT_REST, in_turned_frame
 from unbend.flight.triggers import lag_from_feedback, shutter_finding, trigger_notes
 from unbend.messages import Ledger
@@ -97,7 +97,7 @@ def exposure_events(
     events = []
     for exposed in events_of_cameras(mission, section, inputs, flight, positions, ledger=ledger):
         image = ledger.take(
-            renamed(
+            renamed_like_images(
                 exposed.image,
                 observed,
                 mission.observations.match_names,

@@ -288,7 +288,7 @@ def findings_of_exposures(
             channel=exposures.choose_event_channel(flight.channels, source.channel),
             time_ns=events.time_ns,
             roles=builder.roles,
-            own=flight.own,
+            log_roles=flight.own,
             accuracy=flight.accuracy,
             suspect=(*builder.suspect, *flight.own_suspect),
             lever_arm_m=max(float(np.linalg.norm(arm)) for arm in arms_m),

@@ -1,6 +1,6 @@
-"""What an autopilot says in words of its position and attitude, as suspect stretches.
+"""Texts of an autopilot on its position and attitude, as suspect stretches.
 
-The words are those of ArduPilot (texts, and EV and ERR of its logs) and of PX4.
+The patterns are for the texts of ArduPilot (also EV and ERR of its logs) and of PX4.
 """
 
 import re
@@ -10,11 +10,11 @@ from typing import NamedTuple
 from unbend.flight.channels import Channel
 from unbend.flight.evidence.stretches import ATTITUDE, POSITION, SECOND, Stretch
 
-_TEXT_DELAY_NS = SECOND // 2  # an autopilot takes as long to say what is wrong
-_MOMENT_NS = 5 * SECOND  # what an event without duration makes suspect
-_NEVER_OVER_NS = 3600 * SECOND  # after the last text of a boot, where none says that it is over
+_TEXT_DELAY_NS = SECOND // 2  # from a fault to the text that reports it
+_MOMENT_NS = 5 * SECOND  # how long an event without duration makes a flight suspect
+_NEVER_OVER_NS = 3600 * SECOND  # after the last text of a boot, if no text ends a trouble
 
-# Words that say of the trouble they follow that it is over.
+# Words that, after the name of a trouble, report its end.
 _OVER = (
     r"\b(cleared|ended|regained|recovered|restored|resolved|acquired|healthy|normal|ok"
     r"|no longer|is over|over$|signal found|gone|passed|resumed|good|inactive|finished)\b"
@@ -22,14 +22,14 @@ _OVER = (
 
 
 class _Trouble(NamedTuple):
-    """A trouble that lasts: the lines that begin it, and those that end it."""
+    """A trouble that lasts: patterns of the lines that begin it, and of those that end it."""
 
     begins: re.Pattern[str]
     ends: re.Pattern[str]
 
 
 def _trouble(begins: str, ends: str) -> _Trouble:
-    """A trouble by its patterns, in which OVER stands for the words of `_OVER`."""
+    """A trouble by its patterns, ignoring case; in ``ends`` OVER is replaced by `_OVER`."""
     return _Trouble(
         begins=re.compile(begins, re.IGNORECASE),
         ends=re.compile(ends.replace("OVER", _OVER), re.IGNORECASE),
@@ -63,15 +63,14 @@ _EVENTS = re.compile(
     r"|emergency yaw",
     re.IGNORECASE,
 )
-# A check before take-off that fails is repeated as long as it fails, and nothing says that it
-# passes at last.
+# A check before take-off is repeated as long as it fails; no text reports when it passes.
 _BEFORE_TAKE_OFF = re.compile(r"^\W*(PreArm|Arm|Preflight)\b", re.IGNORECASE)
 _AWAITED = re.compile(r"\b(until|wait\w*|not|no)\b", re.IGNORECASE)  # what follows is not yet so
 _OF_ATTITUDE = re.compile(r"DCM|lane|EKF.primary|forced|yaw", re.IGNORECASE)
 
 
 class _Line(NamedTuple):
-    """A line that an autopilot says, when [ns] and in which power-up."""
+    """A line of an autopilot's texts, with its time [Unix ns] and the number of the power-up."""
 
     time_ns: int
     boot: int
@@ -102,7 +101,7 @@ def text_evidence(channels: Sequence[Channel]) -> list[Stretch]:
 
 
 def _lines_of(channels: Sequence[Channel]) -> list[_Line]:
-    """All lines of an autopilot, in the order of time."""
+    """All lines of the texts in channels, in the order of time."""
     lines: list[_Line] = []
     for channel in channels:
         times_ns = channel.time_ns.tolist()
@@ -114,17 +113,21 @@ def _lines_of(channels: Sequence[Channel]) -> list[_Line]:
 
 
 def _ends(line: _Line, trouble: _Trouble) -> bool:
-    """Whether a line says that a trouble is over, and not that this is waited for."""
+    """Whether a line reports the end of a trouble, and not that the end is awaited."""
     end = trouble.ends.search(line.text)
     if end is None:
         return False
     up_to_end = line.text[: end.end()]
-    is_awaited = _AWAITED.search(up_to_end.replace("no longer", ""))  # "no longer" says it is over
+    is_awaited = _AWAITED.search(up_to_end.replace("no longer", ""))  # "no longer" reports the end
     return not is_awaited
 
 
 def _end_of(trouble: _Trouble, boot: int, lines: Sequence[_Line]) -> int:
-    """When [ns] the next of some lines ends a trouble; else an hour after the last of the boot."""
+    """The time [ns] of the first line of a boot that ends a trouble.
+
+    If no line does, an hour after the last line of the boot. ``lines`` : in the order of time, from
+    the one that begins the trouble.
+    """
     last_ns = lines[0].time_ns
     for line in lines:
         if line.boot != boot:
@@ -136,7 +139,10 @@ def _end_of(trouble: _Trouble, boot: int, lines: Sequence[_Line]) -> int:
 
 
 def _stretches(line: _Line, end_ns: int) -> list[Stretch]:
-    """What a line makes suspect, up to ``end_ns`` [ns], and for 5 s at least."""
+    """The stretches that a line makes suspect, up to ``end_ns`` [ns], and for 5 s at least.
+
+    One is of the position, a second one of the attitude if the line is on the attitude.
+    """
     begin_ns = line.time_ns - _TEXT_DELAY_NS
     last_ns = max(end_ns, begin_ns + _MOMENT_NS)
     reason = f'the autopilot reports "{line.text}"'

@@ -1,6 +1,6 @@
-"""Sensors whose values never change although the aircraft moved: they are stuck, or never sent.
+"""Sensors with constant values although the aircraft moved: they are stuck, or never sent.
 
-A real sensor changes in its last digit even at rest. Whether the flight moved, other sensors say:
+A real sensor changes in its last digit even at rest. Other sensors show whether the flight moved:
 a receiver cannot show that it is stuck itself.
 """
 
@@ -17,24 +17,24 @@ from unbend.messages import Notes
 from unbend.units import Array
 
 FEWEST_SAMPLES = 20  # fewer may be equal by chance
-LEAST_WAY_M = 300.0  # between the farthest places of a flight that moves
-LEAST_CLIMB_M = 50.0  # 600 Pa: a barometer at sea level that shows less is stuck
-LEAST_CLIMB_OF_AIR_M = 300.0  # 2 K: less may hide in a layer of constant temperature
+LEAST_WAY_M = 300.0  # between the farthest places of a flight that moved
+LEAST_CLIMB_M = 50.0  # 600 Pa at sea level: a barometer that does not show it is stuck
+LEAST_CLIMB_OF_AIR_M = 300.0  # 2 K: a layer of constant temperature may be thinner than this
 LEAST_PRESSURE_PA = 600.0  # 50 m at sea level
-MOST_VALUES = (1.0, 99.0)  # percentiles: a few wrong samples are no motion
-# Angles come back from quaternions with errors of 1e-15; logs have them to 1e-4 at best.
+EXTREME_PERCENTILES = (1.0, 99.0)  # between these, as a few samples may be wrong
+# Angles from quaternions have errors of 1e-15; logs have them to 1e-4 at best.
 EQUAL_RAD = 1e-7
-MOST_PITCH_RAD = float(np.radians(80.0))  # beyond, roll and yaw cannot be told apart
-MOST_ROWS = 20_000  # of a long channel, evenly taken
+MOST_PITCH_RAD = float(np.radians(80.0))  # beyond, roll and yaw are not distinct
+MOST_ROWS = 20_000  # of a long channel about so many rows are used
 
 _ANGLES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """How far a flight went over the ground, how high, and by how much its pressure changed.
+    """How far a flight went over the ground, how much it climbed, and its change of pressure.
 
-    The functions say so in words; they are empty where that is too little.
+    The methods describe each in words; the text is empty if the motion is too small to count.
     """
 
     way_m: float
@@ -51,26 +51,26 @@ class _Motion:
         )
 
     def way(self) -> str:
-        """The way over the ground."""
+        """The way over the ground in words; "" below `LEAST_WAY_M`."""
         if self.way_m < LEAST_WAY_M:
             return ""
         return f"the flight spans {self.way_m:.0f} m"
 
     def climb(self, least_m: float) -> str:
-        """The climb, if it is at least so large."""
+        """The climb in words; "" below ``least_m``."""
         if self.climb_m < least_m:
             return ""
         return f"the heights span {self.climb_m:.0f} m"
 
     def drop(self) -> str:
-        """The change of pressure."""
+        """The change of pressure in words; "" below `LEAST_PRESSURE_PA`."""
         if self.drop_pa < LEAST_PRESSURE_PA:
             return ""
         return f"the pressure changes by {self.drop_pa:.0f} Pa"
 
 
 def constant_sensors(roles: Mapping[str, Channel]) -> Notes:
-    """A finding for each role whose values are all equal in a flight that moved.
+    """A finding for each role with values that are all equal in a flight that moved.
 
     ``roles``: the channel of each, with plausible samples only.
     """
@@ -90,7 +90,7 @@ def constant_sensors(roles: Mapping[str, Channel]) -> Notes:
 
 
 def _height_column(roles: Mapping[str, Channel]) -> str:
-    """The column with the heights of a flight; empty without any."""
+    """The name of the column with the heights of a flight; "" without any."""
     height = roles.get("height")
     if height is None:
         return ""
@@ -98,7 +98,10 @@ def _height_column(roles: Mapping[str, Channel]) -> str:
 
 
 def _constant_column(roles: Mapping[str, Channel], role: str, column: str, moved: str) -> Notes:
-    """A finding if all known values of a role's column are equal to the last digit."""
+    """A finding if all known values of a role's column are equal to the last digit.
+
+    ``moved`` : the motion of the flight in words; no finding if it is "".
+    """
     known_values = _known(roles, role, column)
     if (
         not moved
@@ -125,7 +128,10 @@ def _value_in_words(column: str, value: float) -> str:
 
 
 def _constant_attitude(attitude: Channel | None, moved: str) -> Notes:
-    """A finding if an angle of the aircraft never changes. A gimbal may hold an angle."""
+    """A finding if an attitude angle of the aircraft is constant; a gimbal may keep an angle.
+
+    ``moved`` : the motion of the flight in words; no finding if it is "".
+    """
     if not moved or attitude is None or is_of_gimbal(attitude.source.message):
         return ()
     angles = _angles_of(attitude)
@@ -150,8 +156,11 @@ def _constant_attitude(attitude: Channel | None, moved: str) -> Notes:
 
 
 def _angles_of(attitude: Channel) -> Array:
-    """(m, 3) roll, pitch and yaw [rad] of known attitudes, of a long channel evenly chosen ones."""
-    step = -(-len(attitude) // MOST_ROWS)
+    """(m, 3) roll, pitch and yaw [rad] of known attitudes with a pitch up to `MOST_PITCH_RAD`.
+
+    Of a long channel every k-th row is used.
+    """
+    step = -(-len(attitude) // MOST_ROWS)  # rounded up
     w = attitude["q_w"][::step]
     x = attitude["q_x"][::step]
     y = attitude["q_y"][::step]
@@ -173,15 +182,15 @@ def _known(roles: Mapping[str, Channel], role: str, column: str) -> Array:
 
 
 def _spread(values: Array) -> float:
-    """The highest minus the lowest of values, without single wrong ones; 0 without any."""
+    """The range of values between `EXTREME_PERCENTILES`; 0 without any."""
     if not values.size:
         return 0.0
-    lowest, highest = np.percentile(values, MOST_VALUES)
+    lowest, highest = np.percentile(values, EXTREME_PERCENTILES)
     return float(highest - lowest)
 
 
 def _way(position: Channel | None) -> float:
-    """The extent of a flight over the ground [m], north or east; 0 without positions."""
+    """The extent of a flight over the ground [m], the larger of north and east; 0 if unknown."""
     if position is None:
         return 0.0
     lat_rad = position["lat_rad"]

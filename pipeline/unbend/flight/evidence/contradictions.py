@@ -1,4 +1,4 @@
-"""Suspect stretches of a flight by all evidence of its log."""
+"""The suspect stretches of a flight, by all evidence of its log."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -43,8 +43,8 @@ from unbend.flight.evidence.stretches import (
     SECOND,
     Run,
     Stretch,
-    covered,
-    merged,
+    in_any_stretch,
+    joined_stretches,
     runs,
     stretch_of_run,
 )
@@ -53,23 +53,23 @@ from unbend.flight.roles import follows_height
 from unbend.messages import Message, Notes
 from unbend.units import Array
 
-FEWEST_SAMPLES = 10  # of which a channel must have more to be compared
+FEWEST_SAMPLES = 10  # a channel with more samples than this is compared
 
-_BETTER_AFTER = 0.5  # of the accuracy before a step: what is so much better was wrong before
-_PRESENT = 0.8  # of the usual samples of a channel that goes on
+_BETTER_AFTER = 0.5  # a sigma that falls below this share of that before a step: wrong before it
+_SHARE_PRESENT = 0.8  # of the usual samples: a channel with more of them goes on
 _SILENT_INTERVALS = 5.0  # usual ones of a receiver, after which it has no fix
-_SLOWEST_HZ = 1e-3  # of a receiver, also of one with a single fix: what is divided by is never 0
+_SLOWEST_HZ = 1e-3  # of a receiver, so that nothing is divided by 0
 _BESIDE_NS = int(BESIDE_S * SECOND)
-_LARGE_PART = 0.5  # of the greatest difference, by which a receiver would contradict itself
+_LARGE_PART = 0.5  # of the greatest difference: a receiver that changes by less is right
 
 
 def examine(
     channels: Sequence[Channel], roles: Mapping[str, Channel]
 ) -> tuple[dict[str, Channel], tuple[Stretch, ...], Notes]:
-    """Look in all evidence of a log for contradictions of its position, height and attitude.
+    """Find the stretches in which a log contradicts its own position, height or attitude.
 
-    Returns the roles, in which better sources replace suspect samples; the suspect stretches, with
-    the names of those sources; and notes on other sensors that are wrong.
+    Returns the roles, with suspect samples replaced by better sources where possible; the suspect
+    stretches, with the names of these sources; and notes on drifting barometers.
     """
     examination = _Examination(channels, roles, dict(roles))
     if any(is_receiver(channel) for channel in channels):
@@ -80,16 +80,16 @@ def examine(
         channel = roles.get(quantity)
         if channel is not None and len(with_places(channel, quantity)) > FEWEST_SAMPLES:
             examination.examine_places(quantity, channel)
-    suspect = [*examination.suspect, *merged(examination.suspect_attitude)]
+    suspect = [*examination.suspect, *joined_stretches(examination.suspect_attitude)]
     return examination.result, tuple(sorted(suspect)), tuple(examination.notes)
 
 
 @dataclass
 class _Examination:
-    """What has been found against the roles of a log so far.
+    """The evidence against the roles of a log, as collected by the methods.
 
     ``result`` : the roles, with the samples of better sources. ``reported`` : stretches in which
-    the filter or the autopilot reports trouble.
+    the filter or the autopilot reports trouble. ``suspect`` : those of positions and heights.
     """
 
     channels: Sequence[Channel]
@@ -109,39 +109,38 @@ class _Examination:
         return attitude
 
     def examine_attitude(self) -> None:
-        """Enter what filter, autopilot and other attitudes have against the vehicle's attitude."""
+        """Set ``suspect_attitude`` by filter, autopilot and other attitudes of the vehicle."""
         attitude = self.attitude_of_vehicle
         if attitude is not None:
             self.suspect_attitude = [s for s in self.reported if s.quantity == ATTITUDE]
             self.suspect_attitude += attitude_evidence(attitude, self.channels)
 
     def examine_places(self, quantity: str, channel: Channel) -> None:
-        """Enter what other sources have against the position or height, and replace its samples.
+        """Compare the position or height with other sources, and replace its suspect samples.
 
-        ``channel`` : the one of the role. A drifting barometer is reported. Enters into ``result``,
-        ``suspect`` and ``suspect_attitude``.
+        ``channel`` : the one of the role. A drifting barometer is reported. Changes ``result``,
+        ``suspect``, ``suspect_attitude`` and ``notes``.
         """
         sources = sources_of(quantity, channel, self.channels, self.roles)
-        contradictions = contradictions_of(sources, self._goes_on_beside(channel))
+        contradictions = contradictions_of(sources, self._other_than(channel))
         suspect = list(contradictions.suspect)
         if quantity == POSITION and not is_receiver(channel):
-            # What the autopilot reports is of its filter, and says nothing against a receiver.
+            # The reports of an autopilot are on its filter, and no evidence against a receiver.
             suspect += [s for s in self.reported if s.quantity == POSITION]
-            self._prolong_suspect_attitude(merged(suspect))
+            self._prolong_suspect_attitude(joined_stretches(suspect))
         elif quantity == HEIGHT and is_receiver(channel):
-            # A fix that has stepped away in position is wrong in height too.
+            # Where the position of a receiver has stepped away, its height is wrong too.
             stepped_away = self._steps_in_position(channel)
             suspect += [replace(s, quantity=HEIGHT, off_m=np.nan) for s in stepped_away]
             sources = _without_stretches(sources, stepped_away)
         for barometer, drifts in contradictions.barometer_drifts.items():
-            for drift in merged(drifts):
+            for drift in joined_stretches(drifts):
                 self._report_drift(barometer, drift)
-        for stretch in merged(suspect):
-            stretch_with_source = self._replace_if_plain(sources, stretch)
-            self.suspect.append(stretch_with_source)
+        for stretch in joined_stretches(suspect):
+            self.suspect.append(self._replace_if_clear(sources, stretch))
 
-    def _goes_on_beside(self, receiver: Channel) -> Channel:
-        """A channel that shows whether the log goes on where a receiver is silent."""
+    def _other_than(self, receiver: Channel) -> Channel:
+        """A channel, another one if possible, that shows whether the log goes on in a silence."""
         for role in (ATTITUDE, POSITION):
             channel = self.roles.get(role)
             if channel is not None and channel.name != receiver.name:
@@ -149,9 +148,9 @@ class _Examination:
         return receiver
 
     def _prolong_suspect_attitude(self, suspect_positions: list[Stretch]) -> None:
-        """Prolong suspect attitudes to the end of suspect positions at the same time.
+        """Prolong each suspect attitude to the end of the suspect positions that overlap it.
 
-        A filter whose vertical was wrong settles with its position.
+        The vertical of a filter that was wrong is right again when its position is.
         """
         prolonged: list[Stretch] = []
         for stretch in self.suspect_attitude:
@@ -163,13 +162,13 @@ class _Examination:
         self.suspect_attitude = prolonged
 
     def _steps_in_position(self, receiver: Channel) -> list[Stretch]:
-        """The stretches in which a receiver has stepped away in position, by a known distance."""
+        """The stretches in which the position of a receiver has stepped away, and later returns."""
         with_velocity = [receiver, *sorted(self.channels, key=is_receiver)]
         path = source_path(receiver, POSITION, with_velocity)
-        return [s for s in own_contradictions(path, POSITION) if np.isfinite(s.off_m)]
+        return [s for s in steps_and_poor_accuracy(path, POSITION) if np.isfinite(s.off_m)]
 
     def _report_drift(self, barometer: str, drift: Stretch) -> None:
-        """Report a barometer that drifts; if the pressure is from it, remove the pressure there."""
+        """Report a drifting barometer; remove its samples if it has the role of the pressure."""
         pressure = self.result["pressure"]
         if barometer != pressure.name:
             message = spare_barometer_drifts(
@@ -182,11 +181,11 @@ class _Examination:
         message = barometer_drifts(barometer=barometer, reason=drift.reason, when=drift.when)
         self.notes.append(message)
 
-    def _replace_if_plain(self, sources: Sources, stretch: Stretch) -> Stretch:
-        """Replace the samples of a suspect stretch if it is plain which source is wrong.
+    def _replace_if_clear(self, sources: Sources, stretch: Stretch) -> Stretch:
+        """Replace the samples in a suspect stretch if `replacement_for` finds a source.
 
-        Returns the stretch, with the name of the source that replaces the samples. A filter whose
-        position drifts may have drifted in attitude as well, which becomes suspect.
+        Returns the stretch, with the name of that source. If the position of a filter drifted, its
+        attitude becomes suspect too.
         """
         replacement = replacement_for(sources, stretch)
         if replacement is None:
@@ -202,9 +201,9 @@ class _Examination:
 
 
 def _without_stretches(sources: Sources, stretches: list[Stretch]) -> Sources:
-    """Sources in which the samples of the role within some stretches no longer count as good."""
+    """Sources in which the role's samples in the stretches no longer count as good."""
     path = sources.of_role
-    good = path.good & ~covered(stretches, path.channel.time_ns)
+    good = path.good & ~in_any_stretch(stretches, path.channel.time_ns)
     return replace(sources, of_role=replace(path, good=good))
 
 
@@ -244,7 +243,7 @@ def sources_of(
 
 
 def _other_sources(quantity: str, channel: Channel, channels: Sequence[Channel]) -> list[Channel]:
-    """Other channels with positions or heights, receivers first, then by their rank."""
+    """All other channels with positions or heights, receivers first, then by rank."""
     other_channels = [
         other
         for other in channels
@@ -258,7 +257,7 @@ def _other_sources(quantity: str, channel: Channel, channels: Sequence[Channel])
 def _barometers_outside(
     pressure: Channel, height: Channel, channels: Sequence[Channel]
 ) -> list[Channel]:
-    """The barometer of the pressure, and others that follow a height as free air does."""
+    """The barometer of the role of the pressure, and all others that follow the height."""
     other_barometers = [
         channel
         for channel in channels
@@ -268,9 +267,9 @@ def _barometers_outside(
 
 
 def _steady_until(channel: Channel, path: SourcePath, quantity: str) -> int | None:
-    """When a source first stepped and did not return [ns]; None if it never did.
+    """The time of the first step of a source without return [Unix ns]; None without such a step.
 
-    None also if it is better after the step: what is better then was wrong before.
+    None also if its reported sigma is less than half after the step: then it was wrong before.
     """
     if path.lasting_ns.size == 0:
         return None
@@ -296,7 +295,7 @@ class Contradictions(NamedTuple):
 def contradictions_of(sources: Sources, while_on: Channel) -> Contradictions:
     """Find where the source of a role contradicts itself or another source.
 
-    ``while_on``: a channel that goes on where a receiver is silent.
+    ``while_on``: a channel that shows whether the log goes on where a receiver is silent.
     """
     suspect = _contradictions_of_source_itself(sources, while_on)
     barometer_drifts: defaultdict[str, list[Stretch]] = defaultdict(list)
@@ -308,13 +307,13 @@ def contradictions_of(sources: Sources, while_on: Channel) -> Contradictions:
                 suspect.append(stretch)
             elif other_name in sources.barometers:
                 barometer_drifts[other_name].append(stretch)
-            # Else the other source is a filter, whose height follows a barometer: the difference
-            # from that barometer is reported.
+            # Else the other source is a filter, and its height follows a barometer: only the
+            # difference from that barometer is reported.
     return Contradictions(suspect, dict(barometer_drifts))
 
 
 def _stretch_apart(sources: Sources, difference: Difference, run: Run) -> Stretch:
-    """The stretch in which another source is apart from that of the role."""
+    """The suspect stretch of a run of rows in which another source is apart from the role's."""
     other = difference.other
     off_m = float(np.nanmax(difference.off_m[run.rows]))
     reason = f"{sources.of_role.channel.name} and {other.channel.name} are {off_m:.0f} m apart"
@@ -335,24 +334,24 @@ def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> lis
     * A receiver: where it steps, reports a poor accuracy or is silent.
     * A filter without receivers: where it steps or reports a poor accuracy.
     * A filter with one receiver: where that steps and does not return, reports a poor accuracy or
-      is silent. The filter's own steps are no sign of its faults: a filter that was led away leaves
-      the path of the receiver without a step, and one that steps back was wrong before.
+      is silent. The filter's own steps do not count: a filter that is led away leaves the path of
+      the receiver without a step, and a filter that steps back was wrong before the step.
     * A filter with several receivers: where all of these are silent.
     """
     path = sources.of_role
     quantity = sources.quantity
     if is_receiver(path.channel):
-        silent = silences(path.channel, while_on, quantity)
-        return own_contradictions(path, quantity) + silent
+        silent = receiver_silences(path.channel, while_on, quantity)
+        return steps_and_poor_accuracy(path, quantity) + silent
     receivers: list[SourcePath] = []
     for difference in sources.differences:
         if is_receiver(difference.other.channel):
             receivers.append(difference.other)
     if not receivers:
-        return own_contradictions(path, quantity)
+        return steps_and_poor_accuracy(path, quantity)
     suspect: list[Stretch] = []
     if len(receivers) == 1:
-        of_receiver = own_contradictions(receivers[0], quantity)
+        of_receiver = steps_and_poor_accuracy(receivers[0], quantity)
         # ``off_m`` is known of steps that return: the difference from the filter shows them.
         suspect = [stretch for stretch in of_receiver if not np.isfinite(stretch.off_m)]
     return suspect + _common_silences(receivers, path.channel, quantity)
@@ -361,16 +360,17 @@ def _contradictions_of_source_itself(sources: Sources, while_on: Channel) -> lis
 def _common_silences(
     receivers: list[SourcePath], while_on: Channel, quantity: str
 ) -> list[Stretch]:
-    """The silences of the first receiver in which all other receivers are silent too."""
-    first, *other_silences = [silences(path.channel, while_on, quantity) for path in receivers]
-    common = first
+    """The silences of the first receiver that overlap a silence of each other receiver."""
+    common, *other_silences = [
+        receiver_silences(path.channel, while_on, quantity) for path in receivers
+    ]
     for of_receiver in other_silences:
         common = [silence for silence in common if any(map(silence.meets, of_receiver))]
     return common
 
 
-def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
-    """The stretches in which a source has stepped away from itself, or reports a poor accuracy."""
+def steps_and_poor_accuracy(path: SourcePath, quantity: str) -> list[Stretch]:
+    """The stretches in which a source has stepped away, or reports a poor accuracy."""
     time_ns = path.channel.time_ns
     name = path.channel.name
     suspect: list[Stretch] = []
@@ -380,7 +380,7 @@ def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
         off_m = float(away_m[run.rows].max())
         reason = f"{name} steps by {off_m:.0f} m at {path.fastest_m_s:.0f} m/s"
         suspect.append(stretch_of_run(time_ns, run, quantity, reason, off_m))
-    around_ns = LONGEST_REPLACED_S // 2 * SECOND
+    around_ns = LONGEST_REPLACED_S // 2 * SECOND  # suspect before and after a step without return
     for step_ns in path.lasting_ns.tolist():
         reason = f"{name} steps at {path.fastest_m_s:.0f} m/s and does not return"
         suspect.append(Stretch(step_ns - around_ns, step_ns + around_ns, quantity, reason))
@@ -391,10 +391,10 @@ def own_contradictions(path: SourcePath, quantity: str) -> list[Stretch]:
     return suspect
 
 
-def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretch]:
-    """The stretches in which a receiver has no fix: it gives nothing though another channel does.
+def receiver_silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretch]:
+    """The stretches in which a receiver has no samples, but the channel ``while_on`` has.
 
-    ``while_on`` : that channel. Where it has a gap too, the log has one.
+    If both are silent, the log itself has a gap.
     """
     several_intervals_s = _SILENT_INTERVALS / max(receiver.rate_hz, _SLOWEST_HZ)
     limit_ns = max(LONGEST_COAST_S, several_intervals_s) * SECOND
@@ -405,7 +405,8 @@ def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretc
         end_ns = int(edges_ns[row + 1])
         lasts_s = (end_ns - begin_ns) / SECOND
         first, last = np.searchsorted(while_on.time_ns, [begin_ns, end_ns]).tolist()
-        goes_on = last - first > _PRESENT * while_on.rate_hz * (end_ns - begin_ns) / SECOND
+        enough_samples = _SHARE_PRESENT * while_on.rate_hz * (end_ns - begin_ns) / SECOND
+        goes_on = last - first > enough_samples
         if goes_on:
             reason = f"{receiver.name} has no fix for {lasts_s:.0f} s"
             after_fix_ns = begin_ns + SECOND // 2  # the fix before the silence is not suspect
@@ -414,12 +415,12 @@ def silences(receiver: Channel, while_on: Channel, quantity: str) -> list[Stretc
 
 
 def receiver_is_right(sources: Sources, difference: Difference, run: Run) -> bool:
-    """Whether a receiver gives the height, and is confirmed where another source departs from it.
+    """Whether the height is that of a receiver, and other evidence confirms it in a run.
 
-    The other source is a barometer, or a filter that follows one. What confirms the receiver is
+    In the run it is apart from a barometer, or from a filter that follows one. It is confirmed by
 
-    * its own vertical velocity, if what that leaves unexplained of the height `_changes_little`;
-    * without a velocity another source, which does not depend on the barometer.
+    * its own vertical velocity, if the height minus the integrated velocity `_changes_little`;
+    * without a velocity, by another source that does not depend on the barometer.
 
     A receiver that has stepped, or has fewer than two fixes about the run, is not confirmed.
     """
@@ -450,10 +451,10 @@ def receiver_is_right(sources: Sources, difference: Difference, run: Run) -> boo
 def _changes_little(
     unexplained_m: Array, time_ns: TimeArray, difference: Difference, run: Run
 ) -> bool:
-    """Whether (n,) heights change by less than half of the greatest difference in a run.
+    """Whether (n,) values change by less than half of the greatest difference in a run.
 
-    Both from 10 s before the run until that difference is reached, and from 10 s before the end of
-    the run to 10 s after it.
+    Two changes count: from 10 s before the run to the time of that difference, and from 10 s before
+    the end of the run to 10 s after it. ``time_ns`` (n,) : of ``unexplained_m``.
     """
     other_ns = difference.other.channel.time_ns
     begin_ns = int(other_ns[run.first])
@@ -467,14 +468,14 @@ def _changes_little(
 
 
 def _change(values: Array, time_ns: TimeArray, from_ns: int, to_ns: int) -> float:
-    """By how much (n,) values change from one instant to another, without its sign."""
+    """The absolute change of (n,) values from one instant to another."""
     first, last = np.searchsorted(time_ns, [from_ns, to_ns])
     newest = time_ns.size - 1
     return abs(float(values[min(last, newest)] - values[min(first, newest)]))
 
 
 def _climbed(time_ns: TimeArray, climb_m_s: Array) -> Array:
-    """(n,) metres climbed since the first of some times."""
+    """(n,) metres climbed since the first of (n,) times, by the vertical velocity [m/s]."""
     mean_m_s = (climb_m_s[1:] + climb_m_s[:-1]) / 2.0
     return np.append(0.0, np.cumsum(np.diff(time_ns * 1e-9) * mean_m_s))
 
@@ -482,9 +483,9 @@ def _climbed(time_ns: TimeArray, climb_m_s: Array) -> Array:
 def _another_source_agrees(
     sources: Sources, departing: Difference, begin_ns: int, end_ns: int
 ) -> bool:
-    """Whether another receiver, or a spare barometer, agrees all the time with the role's source.
+    """Whether another receiver, or a spare barometer, agrees with the role's source all the time.
 
-    The source that departs, and what depends on the barometer of the pressure, are not asked.
+    Not asked are the source that departs, the barometer of the pressure, and filters, which use it.
     """
     spare_barometers = sources.barometers[1:]
     for difference in sources.differences:

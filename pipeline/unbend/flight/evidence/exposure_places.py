@@ -1,6 +1,6 @@
-"""The place, height and attitude that a log has of each exposure, beside those of the station.
+"""The place, height and attitude that a log has of each exposure, compared with the flight.
 
-They are compared with the channels that the stations are made of, before lever arms.
+The flight is that of the channels from which the stations are made, without lever arms.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from unbend.flight.channels import Channel
 from unbend.flight.evidence import messages
 from unbend.flight.evidence.log_accuracy import LogAccuracy
-from unbend.flight.evidence.sources import is_receiver, metres
-from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, Stretch, covered
+from unbend.flight.evidence.sources import is_receiver, north_east_m
+from unbend.flight.evidence.stretches import ATTITUDE, HEIGHT, POSITION, Stretch, in_any_stretch
 from unbend.flight.ground_times import HOME_NOT_SET_M
 from unbend.flight.interpolation import interpolate
 from unbend.flight.mount import is_of_gimbal
@@ -26,38 +26,40 @@ from unbend.units import NANOSECONDS_PER_SECOND, Array, Integers, Mask
 # How much earlier or later than its row a place may be: the interval of a receiver and its delay
 # (0.2 s each), or the lag of a shutter behind its trigger (0.16 s were measured).
 LATENCY_S = 0.5
-SIGMAS = 5.0  # that two sound evidences may be apart
-NOISE_M = 5.0  # that places may be apart beyond their sigmas
-HEIGHT_NOISE_M = 10.0  # the same of heights of one filter, or of one receiver
-OTHER_SOURCE_M = 100.0  # the same of heights of a receiver and of a filter that has a barometer
-UNKNOWN_SIGMA_M = 5.0  # of a position whose accuracy the log does not report
-TILT_NOISE_DEG = 5.0  # that the verticals of an exposure and of the flight may be apart
+# Two values agree if they differ by no more than so many sigmas plus one of the tolerances below.
+SIGMAS = 5.0
+NOISE_M = 5.0  # for places
+HEIGHT_NOISE_M = 10.0  # for heights of one filter, or of one receiver
+OTHER_SOURCE_M = 100.0  # for heights of a receiver and of a filter that uses a barometer
+TILT_NOISE_DEG = 5.0  # for verticals
+UNKNOWN_SIGMA_M = 5.0  # taken for the sigma of a position if the log does not report any
 
 HEIGHTS_OF_FLIGHT = (
     "h_msl_m",
     "h_ellipsoid_m",
     "h_home_m",
 )
-"""Surfaces that a height of an exposure may count from, whatever its name says."""
+"""Columns of the flight with which a logged height is compared: its name may be misleading."""
 
-_INSTANTS = 9  # in the time that an exposure's own place may be of
-_SLOWEST_M_S = 2.0  # slower places show no shift of time
+_INSTANTS = 9  # that are tried in the interval in which a logged place may have been taken
+_SLOWEST_M_S = 2.0  # slower samples show no shift of time
 _OF_AIRCRAFT = {"CAM", "TRIG", "CAMERACAPTURE"}  # events with the attitude of the aircraft
 
 
 @dataclass(frozen=True, eq=False)
 class ExposureEvidence:
-    """What a log says of its exposures, and the flight with which that is compared.
+    """The events of a log with their own places, and the flight with which they are compared.
 
-    ``channel`` has the (n,) events as logged, ``time_ns`` (n,) the times that the stations have.
-    ``roles`` are those of the stations, ``own`` those that the log alone fills. ``lever_arm_m`` is
-    how far the camera may be from the position. Exposures in ``suspect`` stretches do not count.
+    ``channel`` has the (n,) events as logged, ``time_ns`` (n,) the times of the stations [Unix ns].
+    ``roles`` are the channels of the stations, ``log_roles`` those that the log alone would give.
+    ``lever_arm_m`` is how far the camera may be from the position. Exposures in ``suspect``
+    stretches do not count.
     """
 
     channel: Channel
     time_ns: Integers
     roles: Mapping[str, Channel]
-    own: Mapping[str, Channel]
+    log_roles: Mapping[str, Channel]
     accuracy: LogAccuracy
     suspect: Sequence[Stretch]
     lever_arm_m: float
@@ -65,7 +67,11 @@ class ExposureEvidence:
 
     @property
     def instants(self) -> Integers:
-        """(k, n) instants at which (n,) logged places may have been taken, earliest first."""
+        """(k, n) instants at which the (n,) logged places may have been taken, earliest first.
+
+        They are evenly distributed from `LATENCY_S` and three sigmas before an event to as much
+        after it.
+        """
         sigma_s = np.nan_to_num(self.channel.get("sigma_time_s"))
         allowed_ns = np.round((LATENCY_S + 3.0 * sigma_s) * NANOSECONDS_PER_SECOND).astype(np.int64)
         earliest = np.minimum(self.channel.time_ns, self.time_ns) - allowed_ns
@@ -77,17 +83,16 @@ class ExposureEvidence:
         )[:, None]
         return np.asarray(earliest + np.round(share * (latest - earliest)).astype(np.int64))
 
-    def counts(self, quantity: str) -> Mask:
-        """(n,) which exposures count: those in no suspect stretch of a quantity."""
+    def is_trusted(self, quantity: str) -> Mask:
+        """(n,) True for exposures outside the suspect stretches of a quantity."""
         stretches = [stretch for stretch in self.suspect if stretch.quantity == quantity]
-        return ~covered(stretches, self.time_ns)
+        return ~in_any_stretch(stretches, self.time_ns)
 
 
 def exposure_findings(evidence: ExposureEvidence) -> Iterator[Message]:
-    """Findings where the log's own places, heights or attitudes of exposures contradict stations.
+    """Findings if places, heights or attitudes that the log has of exposures contradict the flight.
 
-    Zeros are unknown, and heights may count from another surface than their name says. There are no
-    findings where the events of the channel are not, one by one, those of ``time_ns``.
+    There are none if the numbers of events and of stations differ.
     """
     if len(evidence.channel) == 0 or len(evidence.channel) != evidence.time_ns.size:
         return
@@ -97,7 +102,7 @@ def exposure_findings(evidence: ExposureEvidence) -> Iterator[Message]:
 
 
 def _place_findings(evidence: ExposureEvidence) -> Iterator[Message]:
-    """A finding where exposures have a place of their own that is far from the stations'."""
+    """A finding if places that the log has of exposures are far from the flight."""
     shots = evidence.channel
     position = evidence.roles.get(POSITION)
     if position is None or not shots.fits_role(POSITION):
@@ -105,13 +110,13 @@ def _place_findings(evidence: ExposureEvidence) -> Iterator[Message]:
     nearest = _nearest_place(evidence, position)
     sigmas = evidence.accuracy.positions(position, evidence.time_ns)
     sigma_m = np.hypot(
-        _sigma(sigmas.horizontal_m),
-        _own_sigma(evidence).horizontal_m,
+        _known_sigma(sigmas.horizontal_m),
+        _sigmas_of_log(evidence).horizontal_m,
     )
     limit_m = NOISE_M + SIGMAS * sigma_m
     limit_m += evidence.lever_arm_m
-    limit_m += nearest.between_m / 2.0  # the nearest place may be half-way between two instants
-    is_known = np.isfinite(nearest.distance_m) & evidence.counts(POSITION)
+    limit_m += nearest.between_m / 2.0  # the flight may be nearest half-way between two instants
+    is_known = np.isfinite(nearest.distance_m) & evidence.is_trusted(POSITION)
     is_off = is_known & (np.nan_to_num(nearest.distance_m) > limit_m)
     if is_off.any():
         yield messages.exposures_elsewhere(
@@ -132,9 +137,10 @@ def _place_findings(evidence: ExposureEvidence) -> Iterator[Message]:
 
 @dataclass(frozen=True, eq=False)
 class _NearestPlaces:
-    """(n,) metres from places of exposures to the nearest of the flight's at some instants.
+    """How near a flight comes to (n,) logged places, at some instants.
 
-    ``between_m`` is how far the flight moves from one of the instants to the next.
+    ``distance_m`` is that at the nearest instant, ``between_m`` how far the flight moves from one
+    instant to the next.
     """
 
     distance_m: Array
@@ -142,7 +148,7 @@ class _NearestPlaces:
 
 
 def _nearest_place(evidence: ExposureEvidence, position: Channel) -> _NearestPlaces:
-    """How near the flight comes to the logged places, in the time that these may be of."""
+    """How near the flight (``position``) comes to the logged places, at `evidence.instants`."""
     shots = evidence.channel
     instants = evidence.instants
     seconds = (instants[1] - instants[0]) / NANOSECONDS_PER_SECOND
@@ -166,11 +172,11 @@ def _offset(shots: Channel, track: Track) -> Array:
     north = shots["lat_rad"] - track.lat_rad
     east = shots["lon_rad"] - track.lon_rad
     change = np.stack([north, east], axis=1)
-    return metres(change, shots["lat_rad"])
+    return north_east_m(change, shots["lat_rad"])
 
 
-def _sigma(sigma_m: Array) -> Array:
-    """(n,) sigmas, with that of a position of unknown accuracy where they are not known."""
+def _known_sigma(sigma_m: Array) -> Array:
+    """(n,) sigmas [m], with `UNKNOWN_SIGMA_M` where they are unknown."""
     return np.where(
         np.isfinite(sigma_m),
         sigma_m,
@@ -179,21 +185,21 @@ def _sigma(sigma_m: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _OwnSigmas:
+class _SigmasOfLog:
     """(n,) sigmas [m] of the places that the log has of exposures."""
 
     horizontal_m: Array
     height_m: Array
 
 
-def _own_sigma(evidence: ExposureEvidence) -> _OwnSigmas:
-    """The sigmas of the log's own positions at its exposures."""
-    position = evidence.own.get(POSITION)
+def _sigmas_of_log(evidence: ExposureEvidence) -> _SigmasOfLog:
+    """The sigmas of the places that the log has of exposures: those of its own positions."""
+    position = evidence.log_roles.get(POSITION)
     if position is None:
         unknown = np.full(evidence.time_ns.shape, UNKNOWN_SIGMA_M)
-        return _OwnSigmas(unknown, unknown)
+        return _SigmasOfLog(unknown, unknown)
     sigmas = evidence.accuracy.positions(position, evidence.time_ns)
-    return _OwnSigmas(_sigma(sigmas.horizontal_m), _sigma(sigmas.height_m))
+    return _SigmasOfLog(_known_sigma(sigmas.horizontal_m), _known_sigma(sigmas.height_m))
 
 
 def _shift_of_time(
@@ -202,7 +208,11 @@ def _shift_of_time(
     is_off: Mask,
     limit_m: Array,
 ) -> float:
-    """By how many seconds events are early, if that explains where they were; else NaN."""
+    """The shift [s] of the times of events that explains their logged places; NaN if none does.
+
+    It is positive if the flight is at these places later. ``is_off`` (n,) : the events with a place
+    that is farther than ``limit_m`` (n,) from the flight.
+    """
     track = track_at(
         position,
         evidence.channel.time_ns,
@@ -222,16 +232,16 @@ def _shift_of_time(
 
 
 def _height_findings(evidence: ExposureEvidence) -> Iterator[Message]:
-    """A finding where exposures have heights of their own that no height of the flight is near.
+    """A finding if heights that the log has of exposures are far from all heights of the flight.
 
-    * ``h_msl_m`` is taken as the filter's. It is compared with the filter's height, which it may
-      differ from by `HEIGHT_NOISE_M`; without a filter in the log with the height that there is, by
-      `OTHER_SOURCE_M`.
-    * ``h_gnss_m`` is the receiver's: compared with the receiver, by `HEIGHT_NOISE_M`.
-    * ``h_ellipsoid_m`` may be of either: compared with the receiver, by `OTHER_SOURCE_M`.
+    * ``h_msl_m`` of an event is taken for that of the filter. It is compared with the filter's
+      heights, with a tolerance of `HEIGHT_NOISE_M`; if no filter gives the position, with the
+      heights of the log, with a tolerance of `OTHER_SOURCE_M`.
+    * ``h_gnss_m`` is the receiver's: it is compared with the receiver (`HEIGHT_NOISE_M`).
+    * ``h_ellipsoid_m`` may be of either: it is compared with the receiver (`OTHER_SOURCE_M`).
     """
-    position = evidence.own.get(POSITION)
-    height = evidence.own.get(HEIGHT)
+    position = evidence.log_roles.get(POSITION)
+    height = evidence.log_roles.get(HEIGHT)
     if position is not None and not is_receiver(position):
         yield from _heights_beside(
             evidence,
@@ -265,12 +275,12 @@ def _heights_beside(
     evidence: ExposureEvidence,
     column: str,
     other: Channel,
-    noise_m: float,
+    tolerance_m: float,
 ) -> Iterator[Message]:
-    """A finding where the heights of exposures in a column are none of another channel's.
+    """A finding if heights of exposures in a column are far from all heights of another channel.
 
-    Of the other channel the heights above the sea, the ellipsoid and the take-off count; beyond
-    their sigmas heights may be ``noise_m`` apart.
+    The other channel's heights above the sea, the ellipsoid and the take-off count. Heights may
+    differ by ``tolerance_m`` in addition to their sigmas.
     """
     shots = evidence.channel
     if column not in shots.columns:
@@ -282,11 +292,11 @@ def _heights_beside(
     )
     sigmas = evidence.accuracy.positions(other, evidence.time_ns)
     sigma_m = np.hypot(
-        _sigma(sigmas.height_m),
-        _own_sigma(evidence).height_m,
+        _known_sigma(sigmas.height_m),
+        _sigmas_of_log(evidence).height_m,
     )
-    limit_m = noise_m + SIGMAS * sigma_m
-    is_known = np.isfinite(apart_m) & evidence.counts(HEIGHT)
+    limit_m = tolerance_m + SIGMAS * sigma_m
+    is_known = np.isfinite(apart_m) & evidence.is_trusted(HEIGHT)
     is_off = is_known & (np.nan_to_num(apart_m) > limit_m)
     if is_off.any():
         yield messages.exposures_at_other_heights(
@@ -305,13 +315,14 @@ def _nearest_height(
     column: str,
     other: Channel,
 ) -> Array:
-    """(n,) metres from heights of exposures to the nearest height of another channel, any surface.
+    """(n,) metres from heights of exposures to the nearest height of another channel.
 
-    NaN where the other channel has none, and where that of the exposure is unknown:
+    It is the nearest at all `evidence.instants` and above all `HEIGHTS_OF_FLIGHT`. NaN where the
+    other channel has none, and where that of the exposure is unknown:
 
     * it is 0;
-    * it is the same as the height above home, because home is not set. This counts as unknown only
-      if the other channel has no heights above home, with which it could be compared.
+    * it is equal to the height above home, because home is not set, and the other channel has no
+      heights above home with which it could be compared.
     """
     shots = evidence.channel
     is_logged = shots[column] != 0.0
@@ -322,7 +333,7 @@ def _nearest_height(
         shots[column],
         np.nan,
     )
-    compared = _above_its_begin(other)
+    compared = _with_heights_above_home(other)
     gap_s = compared.gap_limit_s(evidence.max_gap_s)
     apart_m = np.full(len(shots), np.nan)
     for time_ns in evidence.instants:
@@ -337,30 +348,29 @@ def _nearest_height(
     return apart_m
 
 
-def _above_its_begin(other: Channel) -> Channel:
-    """A channel that has heights above the take-off, if its heights are known at all.
+def _with_heights_above_home(channel: Channel) -> Channel:
+    """Add heights above the take-off (``h_home_m``) to a channel without them.
 
-    Where it has none, its heights above its first known one stand for them: cameras count from a
-    take-off that a receiver does not know.
+    Its first known height is taken for the take-off: cameras log heights above it, receivers do
+    not. A channel without any known height is returned unchanged.
     """
-    column = other.height_column
-    if column is None or "h_home_m" in other.columns:
-        return other
-    known_m = other[column][np.isfinite(other[column])]
+    column = channel.height_column
+    if column is None or "h_home_m" in channel.columns:
+        return channel
+    known_m = channel[column][np.isfinite(channel[column])]
     if known_m.size == 0:
-        return other
-    above_begin_m = other[column] - known_m[0]
-    return replace(other, columns=dict(other.columns) | {"h_home_m": above_begin_m})
+        return channel
+    above_begin_m = channel[column] - known_m[0]
+    return replace(channel, columns=dict(channel.columns) | {"h_home_m": above_begin_m})
 
 
 def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:
-    """A finding where the vertical of exposures departs from that of the flight.
+    """A finding if the vertical that the log has of exposures differs from that of the flight.
 
-    Compared are only events with the attitude of the aircraft, and only with a channel of the
-    aircraft's attitude that is not the events' own.
+    Only events with the attitude of the aircraft are compared, and not with themselves.
     """
     shots = evidence.channel
-    attitude = evidence.own.get(ATTITUDE)
+    attitude = evidence.log_roles.get(ATTITUDE)
     if attitude is None or is_of_gimbal(attitude.source.message):
         return
     if shots.source.kind not in _OF_AIRCRAFT:
@@ -384,7 +394,7 @@ def _attitude_findings(evidence: ExposureEvidence) -> Iterator[Message]:
         shots.get("lat_rad"),
     ).tilt_rad
     limit_deg = TILT_NOISE_DEG + SIGMAS * np.degrees(np.nan_to_num(sigma_rad))
-    is_known = np.isfinite(tilt_deg) & evidence.counts(ATTITUDE)
+    is_known = np.isfinite(tilt_deg) & evidence.is_trusted(ATTITUDE)
     is_off = is_known & (np.nan_to_num(tilt_deg) > limit_deg)
     if is_off.any():
         yield messages.exposures_tilted_otherwise(

@@ -1,4 +1,4 @@
-"""What a filter and second attitudes say against a flight, as suspect stretches."""
+"""Evidence of a filter and of second attitudes against a flight, as suspect stretches."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,33 +18,34 @@ from unbend.flight.interpolation import interpolate
 from unbend.flight.rotations import down_in_body
 from unbend.units import MOST_FLAGS, Array, whole_numbers
 
-# A difference of the verticals of two attitudes that is noise, whatever is usual [deg].
+# Two verticals differ by noise up to this [deg], or up to so many times the 95th percentile.
 NOISE_TILT_DEG = 1.5
-_SEVERAL_USUAL_TILTS = 3.0  # a tilt of so many times the 95th percentile is no noise
-_TURN_NS = SECOND // 10  # times of telemetry are no better, before and after an instant
+_SEVERAL_USUAL_TILTS = 3.0
+_TURN_NS = SECOND // 10  # by so much, earlier or later, the times of telemetry may be wrong
 
 # A filter has recovered when its innovation ratios have been below this for so long.
 SETTLED_RATIO = 0.7
 SETTLED_S = 3.0
 REJECTED_RATIO = 1.0  # of an innovation to its gate: above, the filter rejects the measurement
 
-# A ratio below this is passed over where it lasts for less than this [s].
+# Rejections with a smaller ratio than this do not count if they last for less than this [s].
 _LARGE_RATIO = 2.0
 _SHORT_S = 0.5
 _SHORT_COMPASS_S = 5.0
 
-# An accelerometer that clips as often [1/s], for longer than this.
+# Accelerometers that clip more often than this [1/s] make the attitude suspect, until they clip
+# less often than half of it; if that takes longer than 2 s.
 _CLIPS_PER_SECOND = 100.0
 _STILL_CLIPS_PER_SECOND = 50.0
 _LONGEST_CLIPPING_NS = 2 * SECOND
 
 _LANE_GAP_S = 2.0  # between samples of another lane of the filter
-_ATTITUDE_GAP_S = 1.0
+_ATTITUDE_GAP_S = 1.0  # between samples of an attitude
 
-# What bits of filter_flags say.
+# Bits of filter_flags, by their meaning.
 _FLAGS = {"the filter sees a GPS glitch": 1 << 15, "the filter is dead reckoning": 1 << 18}
 
-# By column of a filter's health: the quantity it speaks of, and what it says.
+# By column of a filter's health: the quantity that a rejection makes suspect, and the reason.
 _INNOVATIONS = {
     "innovation_position": (POSITION, "the filter rejected the receiver's position"),
     "innovation_velocity": (ATTITUDE, "the filter rejected the receiver's velocity"),
@@ -55,8 +56,8 @@ _INNOVATIONS = {
 def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:
     """The stretches that innovations, flags and accelerometers of a filter make suspect.
 
-    An innovation ratio above 1 is a rejected measurement. Of several lanes the best counts, which
-    is the one an autopilot flies by.
+    An innovation ratio above 1 is a rejected measurement. Of several lanes (filters that run in
+    parallel) the smallest ratio counts, as an autopilot flies by the best lane.
     """
     suspect: list[Stretch] = []
     for column in _INNOVATIONS:
@@ -74,9 +75,9 @@ def filter_evidence(channels: Sequence[Channel]) -> list[Stretch]:
 def _rejected_measurements(column: str, lanes: list[Channel]) -> list[Stretch]:
     """The stretches in which all lanes of a filter reject a measurement.
 
-    A stretch lasts until the ratio has settled. It is passed over if the ratio stays below 2 and it
-    lasts for less than 0.5 s (5 s of the compass). A rejected velocity makes the position suspect,
-    too.
+    ``column`` : that of the innovation. A stretch lasts until the ratio has settled. It does not
+    count if the ratio stays below 2 and it lasts for less than 0.5 s (compass: 5 s). A rejected
+    velocity makes the position suspect, too.
     """
     quantity, reason = _INNOVATIONS[column]
     shortest_s = _SHORT_COMPASS_S if column == "innovation_compass" else _SHORT_S
@@ -105,7 +106,7 @@ def _rejected_measurements(column: str, lanes: list[Channel]) -> list[Stretch]:
 
 
 def _flagged(channel: Channel) -> list[Stretch]:
-    """The stretches in which a filter's flags say that its position is wrong."""
+    """The stretches in which a filter's flags (`_FLAGS`) make its position suspect."""
     flags = whole_numbers(channel["filter_flags"], 0, MOST_FLAGS)
     suspect: list[Stretch] = []
     for reason, bit in _FLAGS.items():
@@ -116,7 +117,7 @@ def _flagged(channel: Channel) -> list[Stretch]:
 
 
 def _clipping(channel: Channel) -> list[Stretch]:
-    """The stretches in which accelerometers clip: the attitude has lost its vertical."""
+    """The stretches in which accelerometers clip for more than 2 s: the attitude is suspect."""
     time_ns = channel.time_ns
     clips_per_second = np.diff(channel["clipping"]) / np.diff(time_ns) * SECOND
     rate = np.append(0.0, clips_per_second)
@@ -131,9 +132,9 @@ def _clipping(channel: Channel) -> list[Stretch]:
 def attitude_evidence(attitude: Channel, channels: Sequence[Channel]) -> list[Stretch]:
     """The stretches in which the vertical of an attitude departs from that of another attitude.
 
-    The angle between the two counts beyond what the aircraft turns in 0.2 s (times of telemetry are
-    no better), and beyond what is usual. A stretch reaches as far as half of that limit is
-    exceeded; a single sample beyond the limit is none.
+    The angle between both, minus the turn of the aircraft in 0.2 s (times of telemetry are no
+    better), must exceed a limit of noise in two samples or more. A stretch begins and ends where
+    the angle exceeds half of the limit.
     """
     suspect: list[Stretch] = []
     vertical = _vertical(attitude)
@@ -164,13 +165,13 @@ def _turned_deg(vertical: Channel, time_ns: TimeArray) -> Array:
 
 
 def _vertical(attitude: Channel) -> Channel:
-    """A channel with the direction of down about the body's axes as columns x, y, z."""
+    """The channel with the unit vector to the nadir in body axes as its columns x, y, z."""
     columns = dict(zip("xyz", down_in_body(attitude), strict=True))
     return replace(attitude, columns=columns, labels={})
 
 
 def _down_at(vertical: Channel, time_ns: TimeArray) -> Array:
-    """(3, n) direction of down at instants, of a channel of `_vertical`."""
+    """(3, n) directions to the nadir in body axes at instants; ``vertical`` is from `_vertical`."""
     gap_s = vertical.gap_limit_s(_ATTITUDE_GAP_S)
     return np.stack([interpolate(vertical, axis, time_ns, gap_s) for axis in "xyz"])
 

@@ -1,4 +1,4 @@
-"""Suspect stretches of channels that other programs made, compared with the log."""
+"""Suspect stretches of imported channels (made by other programs), by comparison with the log."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from unbend.flight.channels import Channel
-from unbend.flight.evidence.contradictions import FEWEST_SAMPLES, own_contradictions
+from unbend.flight.evidence.contradictions import FEWEST_SAMPLES, steps_and_poor_accuracy
 from unbend.flight.evidence.source_differences import source_difference
 from unbend.flight.evidence.sources import (
     SourcePath,
@@ -19,8 +19,8 @@ from unbend.flight.evidence.stretches import (
     HEIGHT,
     POSITION,
     Stretch,
-    covered,
-    merged,
+    in_any_stretch,
+    joined_stretches,
     runs,
     stretch_of_run,
 )
@@ -38,22 +38,24 @@ def contradictions_of_import(
     roles: Mapping[str, Channel],
     suspect_in_log: Sequence[Stretch],
 ) -> tuple[Stretch, ...]:
-    """Stretches in which an imported channel steps, or departs from the log, in some quantities.
+    """Stretches in which an imported channel steps, or departs from the log, in its quantities.
 
-    ``roles`` are those that the log fills; in the stretches ``suspect_in_log`` its values do not
-    count. Steps are looked for in channels of 1 Hz and faster. A step or departure of less than
-    three of the sigmas that the channel reports itself is no contradiction.
+    ``quantities`` : position, height or both. ``roles`` : those that the log fills; its values do
+    not count in the stretches ``suspect_in_log``. Steps are searched in channels of 1 Hz and
+    faster. A step or departure of less than three of the sigmas that the channel itself reports
+    does not count.
     """
     suspect: list[Stretch] = []
     for quantity in (POSITION, HEIGHT):
         if quantity not in quantities:
             continue
-        with_known_places = with_places(imported, quantity)
-        if len(with_known_places) <= FEWEST_SAMPLES:
+        placed = with_places(imported, quantity)
+        if len(placed) <= FEWEST_SAMPLES:
             continue
         log_suspects = [stretch for stretch in suspect_in_log if stretch.quantity == quantity]
-        for stretch in merged(_contradictions_in(quantity, with_known_places, roles, log_suspects)):
-            if not _explained_by_sigma(stretch, with_known_places, quantity):
+        stretches = _contradictions_in(quantity, placed, roles, log_suspects)
+        for stretch in joined_stretches(stretches):
+            if not _explained_by_sigma(stretch, placed, quantity):
                 suspect.append(stretch)
     return tuple(suspect)
 
@@ -72,7 +74,7 @@ def _contradictions_in(
     path = source_path(_without_sigmas(imported), quantity, with_velocity)
     stretches: list[Stretch] = []
     if imported.rate_hz >= _SLOWEST_HZ:
-        stretches += own_contradictions(path, quantity)
+        stretches += steps_and_poor_accuracy(path, quantity)
     if quantity in roles:
         log = with_places(roles[quantity], quantity)
         if len(log) > FEWEST_SAMPLES:
@@ -83,7 +85,7 @@ def _contradictions_in(
 def _explained_by_sigma(stretch: Stretch, imported: Channel, quantity: str) -> bool:
     """Whether a stretch is off by less than three of the sigmas that the channel reports in it.
 
-    Its largest sigma counts; an unknown sigma explains nothing.
+    The largest sigma in the stretch counts; an unknown one counts as 0.
     """
     sigma_m = np.nan_to_num(imported.get(sigma_column(quantity)))
     largest_m = float(sigma_m[stretch.covers(imported.time_ns)].max(initial=0.0))
@@ -91,8 +93,11 @@ def _explained_by_sigma(stretch: Stretch, imported: Channel, quantity: str) -> b
 
 
 def _without_sigmas(channel: Channel) -> Channel:
-    """The channel without its own accuracy, by which no sample is then left out as poor."""
-    columns = {name: v for name, v in channel.columns.items() if not name.startswith("sigma_")}
+    """The channel without its columns of sigmas, so that all its samples count as accurate."""
+    columns = {}
+    for name, values in channel.columns.items():
+        if not name.startswith("sigma_"):
+            columns[name] = values
     return replace(channel, columns=columns)
 
 
@@ -105,9 +110,8 @@ def _departures_from_log(
 ) -> list[Stretch]:
     """Stretches in which an imported path departs from the log by more than an autopilot's error.
 
-    The steps of the imported path are left in, so that they count as departures. In the stretches
-    ``suspect_in_log`` the log is no evidence. A stretch reaches as far as half of the limit is
-    exceeded.
+    Its steps are not taken out, so that they count as departures. Departures do not count in the
+    stretches ``suspect_in_log``. A stretch begins and ends where half of the limit is exceeded.
     """
     channel = imported.channel
     with_steps = replace(
@@ -120,7 +124,7 @@ def _departures_from_log(
     if quantity == POSITION:
         velocity = velocity_at(with_velocity, quantity, channel.time_ns)
     difference = source_difference(log, with_steps, quantity, velocity)
-    is_suspect = covered(suspect_in_log, channel.time_ns)
+    is_suspect = in_any_stretch(suspect_in_log, channel.time_ns)
     off_m = np.where(is_suspect, 0.0, np.nan_to_num(difference.off_m))
     limit_m = np.maximum(difference.limit_m, LEAST_M[quantity])
     stretches: list[Stretch] = []

@@ -15,13 +15,13 @@ from unbend.units import Array, Integers, Mask, Rows
 
 
 class Range(NamedTuple):
-    """From the lowest value to the highest."""
+    """A range of values, its ends included."""
 
     low: float
     high: float
 
     def has(self, value: float) -> bool:
-        """Whether a value lies in the range; NaN does not."""
+        """Whether a value is in the range; False for NaN."""
         return self.low <= value <= self.high
 
     def __str__(self) -> str:
@@ -38,19 +38,19 @@ RANGES: Mapping[str, Range] = {
     "relative_humidity": Range(-0.05, 1.15),
     "airspeed_m_s": Range(-5.0, 700.0),
 }
-"""What can be true of the air and the aircraft, in SI."""
+"""The possible values of columns, for air and aircraft, in SI units."""
 
 FASTEST_CLIMB_M_S = 200.0  # no survey aircraft climbs or sinks faster [m/s]
 FASTEST_M_S = 700.0  # no aircraft that takes pictures flies faster over the ground [m/s]
-# No aircraft turns faster [rad/s] and, within few samples, back; a flip turns on to the same side.
+# No aircraft turns faster [rad/s] and back again within few samples; a flip goes on turning.
 FASTEST_TURN_RAD_S = float(np.radians(500.0))
 
 _HEIGHTS = ("h_msl_m", "h_ellipsoid_m")
 _METRES_PER_RAD = 6_371_000.0  # only to notice jumps of 100 m: any radius will do
-_TURN_NOISE_RAD = float(np.radians(20.0))
+_TURN_NOISE_RAD = float(np.radians(20.0))  # a smaller turn between two samples is not a jump
 
 _BLOCK = 1 << 16  # steps that are compared together: a long channel is not copied as a whole
-_MOST_STRETCHES = 20_000  # a series that jumps more often than this has no glitches, it is noise
+_MOST_STRETCHES = 20_000  # a series that jumps more often is noise
 _FEWEST_SAMPLES = 3  # with fewer, no sample has one on either side
 
 
@@ -75,11 +75,12 @@ _ROLES_WITH_JUMPS = ("position", "attitude", "pressure", "temperature", "humidit
 
 
 class _Step(NamedTuple):
-    """How large a step from one sample to another is, and up to which size it is no jump.
+    """How the step from one sample to another is measured, and the largest step that is possible.
 
-    size : gives (m,) sizes of the steps from (m,) rows to other (m,) rows of a channel.
-    rate : the size that is no jump, for each second between the samples.
-    noise : the size that is no jump, whatever the time between the samples.
+    size : function of a channel and two arrays (m,) of rows; gives (m,) sizes of the steps from the
+        first rows to the second.
+    rate : the largest possible size for each second between the samples.
+    noise : a size that is possible in any time.
     """
 
     size: Callable[[Channel, Rows, Rows], Array]
@@ -88,12 +89,12 @@ class _Step(NamedTuple):
 
 
 def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
-    """The channel without the samples that are missing or impossible in the columns of its role.
+    """Remove the samples that are missing or impossible in the columns of a role.
 
     A value is impossible if it is out of range, or reached and left faster than air or aircraft can
     change. The notes count these samples, but not those that `mask_impossible_values` counted when
-    the log was read. A sample has the reason of the first column that gives one. Refuses a channel
-    whose median shows a wrong unit (hPa where Pa is due).
+    the log was read. A sample gets the reason of the first column that gives one. Refuses
+    (MissionError CHANNEL-UNIT) a channel with a median that shows a wrong unit (hPa for Pa).
     """
     notes: list[Message] = []
     if role in ("position", "height"):
@@ -111,10 +112,10 @@ def plausible_samples(channel: Channel, role: str) -> tuple[Channel, Notes]:
 
 
 def _reasons_of_column(channel: Channel, column: str) -> tuple[Reasons, Notes]:
-    """(n,) why samples have no possible value in a column; 0 (used) where they have one.
+    """(n,) reasons why samples have no possible value in a column; 0 (used) where they have one.
 
-    The notes count the samples without a value, and those out of range. A value that was impossible
-    when the log was read is unknown now, keeps its reason, and is not counted again.
+    The notes count the samples without a value, and those out of range. A value that was removed
+    when the log was read keeps its reason, and is not counted again.
     """
     notes: list[Message] = []
     values = channel[column]
@@ -141,7 +142,7 @@ def _reasons_of_column(channel: Channel, column: str) -> tuple[Reasons, Notes]:
 
 
 def _refuse_wrong_unit(channel: Channel, role: str, column: str) -> None:
-    """Refuse (MissionError CHANNEL-UNIT) a column whose median shows a wrong unit."""
+    """Refuse (MissionError CHANNEL-UNIT) a column with a median that shows a wrong unit."""
     values = channel[column]
     is_known = np.isfinite(values)
     if not is_known.any():
@@ -159,12 +160,12 @@ def _refuse_wrong_unit(channel: Channel, role: str, column: str) -> None:
 
 
 def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
-    """The channel of a log with impossible values unknown (NaN); the notes count them.
+    """Replace the impossible values in a channel of a log by NaN; the notes count them.
 
-    Values are impossible as for `plausible_samples`, for all roles that the channel may get. Rows
-    in which no role has a value left are removed. A column whose median is out of range is kept,
-    with a warning, and not searched for jumps: it has another unit, or is not of air. Of events
-    only heights and ranges are checked.
+    They are those of `plausible_samples`, for all roles that the channel may get. Rows in which no
+    role has a value left are removed. A column with a median out of range is kept, with a warning,
+    and not searched for jumps: it has another unit, or does not measure air. Of events only heights
+    and ranges are checked.
     """
     # Ranges before jumps: a value out of range would be a jump as well.
     channel, height_notes = _mask_heights(channel)
@@ -181,10 +182,10 @@ def mask_impossible_values(channel: Channel) -> tuple[Channel, Notes]:
 
 
 def _reasons_of_useless_rows(channel: Channel, roles: list[str]) -> Reasons:
-    """(n,) why no role has a value left in a row; 0 (used) where a role has one.
+    """(n,) reasons for rows in which no role has a value left; 0 (used) for all other rows.
 
-    An impossible height is no reason: the row keeps its latitude and longitude. A channel that fits
-    no role keeps all rows.
+    An impossible height does not count: the row keeps its latitude and longitude. Without ``roles``
+    all rows are kept.
     """
     reasons = np.zeros(len(channel), np.uint8)
     for column, column_reasons in channel.rejected.items():
@@ -192,14 +193,14 @@ def _reasons_of_useless_rows(channel: Channel, roles: list[str]) -> Reasons:
             reasons = np.where(reasons == Reason.USED, column_reasons, reasons)
     useful = np.full(len(channel), not roles)
     for role in roles:
-        useful |= _known(channel, role)
+        useful |= _has_all_columns(channel, role)
     return np.where(useful, Reason.USED, reasons).astype(np.uint8)
 
 
 def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
-    """The channel with values out of range unknown, and the columns whose median is out of range.
+    """Replace values out of range by NaN; also returns the columns with a median out of range.
 
-    The values of these columns stay, with a warning; heights are left to `_mask_heights`.
+    The values of these columns stay, with a warning. Heights are left to `_mask_heights`.
     """
     odd_columns: set[str] = set()
     notes: list[Message] = []
@@ -209,7 +210,7 @@ def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
         outside = _outside(channel[column], column)
         if not outside.any():
             continue
-        with np.errstate(over="ignore"):  # the mean of the two in the middle
+        with np.errstate(over="ignore"):  # in the mean of two huge values in the middle
             median = float(np.nanmedian(channel[column]))
         if RANGES[column].has(median):
             notes.append(_out_of_range(channel, column, outside))
@@ -229,8 +230,8 @@ def _mask_ranges(channel: Channel) -> tuple[Channel, set[str], Notes]:
 
 
 def _mask_jumps(channel: Channel, role: str) -> tuple[Channel, Notes]:
-    """The channel with all columns of a role unknown in the rows that jump there and back."""
-    jumps, notes = _jumps(channel, _known(channel, role), role)
+    """Replace all columns of a role by NaN in the rows that jump away and back."""
+    jumps, notes = _jumps(channel, _has_all_columns(channel, role), role)
     if jumps.size:
         is_jump = np.zeros(len(channel), np.bool_)
         is_jump[jumps] = True
@@ -239,8 +240,8 @@ def _mask_jumps(channel: Channel, role: str) -> tuple[Channel, Notes]:
     return channel, notes
 
 
-def _known(channel: Channel, role: str) -> Mask:
-    """(n,) the rows in which all columns of a role are known."""
+def _has_all_columns(channel: Channel, role: str) -> Mask:
+    """(n,) True for rows in which all columns of a role are known."""
     is_known = np.ones(len(channel), np.bool_)
     for column in ROLE_COLUMNS[role]:
         is_known &= np.isfinite(channel[column])
@@ -248,7 +249,7 @@ def _known(channel: Channel, role: str) -> Mask:
 
 
 def _outside(values: Array, column: str) -> Mask:
-    """(n,) where the values of a column are out of its range; nowhere if it has no range."""
+    """(n,) True for values out of the range of their column; False for NaN, or without a range."""
     nowhere = np.zeros(values.shape, np.bool_)
     if column not in RANGES or values.size == 0:
         return nowhere
@@ -274,9 +275,9 @@ def _out_of_range(channel: Channel, column: str, outside: Mask) -> Message:
 
 
 def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
-    """The channel with impossible heights unknown: those out of range, or that jump there and back.
+    """Replace heights by NaN that are out of range, or jump away and back.
 
-    Jumps are looked for only in channels with positions. The rows keep latitude and longitude.
+    Jumps are searched only in channels with positions. The rows keep latitude and longitude.
     """
     notes: list[Message] = []
     for column in _HEIGHTS:
@@ -310,10 +311,10 @@ def _mask_heights(channel: Channel) -> tuple[Channel, Notes]:
 
 
 def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
-    """The rows of samples that jump: few in a row, which the samples around them cannot reach.
+    """The rows of samples that jump away and back in the columns of a role, as of `_stray_rows`.
 
-    Only known rows are compared, in the columns of a role. Jumps by which a filter is aligned are
-    returned too; they have a note of their own and are left out of the loss for the other jumps.
+    ``known`` (n,) : the rows that are compared. Jumps by which a filter is aligned are returned
+    too; they have a note of their own, and are not counted in the loss for the other jumps.
     """
     where = f"{channel.name}, as {role}"
     notes: list[Message] = []
@@ -347,27 +348,28 @@ def _jumps(channel: Channel, known: Mask, role: str) -> tuple[Rows, Notes]:
 
 
 def _leads_to_another_attitude(channel: Channel, kept: Mask, jumps: Rows) -> Mask:
-    """(j,) which jumps show that the filter was aligned.
+    """(j,) True for jumps in which the filter was aligned to another attitude.
 
-    The kept attitudes before and after such a jump are too far apart for the time between them, or
-    the jump comes before the first attitude that is kept. Jumps after the last one show nothing.
+    ``kept`` (n,) : the rows that do not jump; ``jumps`` (j,) : the rows that do. The filter was
+    aligned if the kept attitudes before and after a jump are too far apart for the time between
+    them, or no attitude before it is kept. It was not if none after it is kept.
     """
     kept_rows = np.flatnonzero(kept)
-    place = np.searchsorted(kept_rows, jumps)  # of the first kept row after each jump
-    aligned = place == 0
-    between = (place > 0) & (place < kept_rows.size)
-    before = kept_rows[place[between] - 1]
-    after = kept_rows[place[between]]
-    lasts_ns = channel.time_ns[after] - channel.time_ns[before]
-    possible_turn = FASTEST_TURN_RAD_S * 1e-9 * lasts_ns
+    place = np.searchsorted(kept_rows, jumps)  # in kept_rows, of the first one after each jump
+    is_aligned = place == 0
+    is_between = (place > 0) & (place < kept_rows.size)
+    before = kept_rows[place[is_between] - 1]
+    after = kept_rows[place[is_between]]
+    interval_ns = channel.time_ns[after] - channel.time_ns[before]
+    possible_turn = FASTEST_TURN_RAD_S * 1e-9 * interval_ns
     largest_turn = np.maximum(possible_turn, _TURN_NOISE_RAD)
     turn = _angle(channel, before, after)
-    aligned[between] = turn > largest_turn
-    return np.asarray(aligned)
+    is_aligned[is_between] = turn > largest_turn
+    return np.asarray(is_aligned)
 
 
 def _metres(channel: Channel, first: Rows, second: Rows) -> Array:
-    """(m,) horizontal distances [m] of two rows each, good enough to notice a jump."""
+    """(m,) horizontal distances [m] from first to second rows, good enough to notice a jump."""
     lat = channel["lat_rad"]
     lon = channel["lon_rad"]
     north = lat[second] - lat[first]
@@ -378,7 +380,7 @@ def _metres(channel: Channel, first: Rows, second: Rows) -> Array:
 
 
 def _angle(channel: Channel, first: Rows, second: Rows) -> Array:
-    """(m,) angles between the attitudes [rad] of two rows each; 0 for less than what is noise."""
+    """(m,) angles [rad] between the attitudes in first and second rows; 0 if less than noise."""
     cosine_of_half = np.zeros(first.shape)
     for name in ROLE_COLUMNS["attitude"]:
         component = channel[name]
@@ -394,13 +396,14 @@ def _step_of(column: str, rate: float, noise: float) -> _Step:
     """The step whose size is the difference of the values in a column."""
 
     def size(channel: Channel, first: Rows, second: Rows) -> Array:
+        """(m,) absolute differences of the column between rows."""
         values = channel[column]
         return np.abs(values[second] - values[first])
 
     return _Step(size, rate, noise)
 
 
-# By role or by column. 2,500 Pa/s is a climb of 200 m/s at sea level.
+# By role or by column, in the units of the column. 2,500 Pa/s is a climb of 200 m/s at sea level.
 _STEPS: Mapping[str, _Step] = {
     "position": _Step(_metres, FASTEST_M_S, 100.0),
     "height": _Step(_metres, FASTEST_M_S, 100.0),
@@ -413,7 +416,7 @@ _STEPS: Mapping[str, _Step] = {
 
 
 def _is_far(channel: Channel, first: Rows, second: Rows, step: _Step) -> Mask:
-    """(m,) whether the step from each first row to its second one is a jump in that time."""
+    """(m,) True if the step from a first to a second row is larger than possible in that time."""
     stamps = channel.time_ns
     seconds = 1e-9 * (stamps[second] - stamps[first])
     limit = np.maximum(step.rate * seconds, step.noise)
@@ -427,58 +430,59 @@ def _stray_rows(
     step: _Step,
     where: str,
 ) -> tuple[Rows, Notes]:
-    """The known rows that lie apart from all others: those of short stretches out of reach.
+    """The rows of short stretches that cannot be reached from the other samples.
 
-    Jumps divide the known rows into stretches. One of up to `STRAY_ROWS` rows is stray if a jump
-    lies between it and the stretch that was kept last, on the way from the longest stretch to
-    either end. A series with too many jumps is noise: it has no stray rows, but a note.
+    Jumps divide the ``known`` rows (n,) into stretches. Going from the longest stretch to either
+    end, a stretch of up to `STRAY_ROWS` rows is stray if the step from the last kept stretch to it
+    is a jump; all others are kept. A series with too many jumps is noise: it has no stray rows, but
+    a note. ``where`` : the channel and role in words.
     """
     rows = np.flatnonzero(known)
-    first = _begins_of_stretches(channel, rows, step)
-    if rows.size < _FEWEST_SAMPLES or first.size == 1:
+    begin = _begins_of_stretches(channel, rows, step)
+    if rows.size < _FEWEST_SAMPLES or begin.size == 1:
         return rows[:0], ()
-    if first.size > _MOST_STRETCHES:
+    if begin.size > _MOST_STRETCHES:
         noise = messages.samples_are_noise(
             where=where,
-            count=first.size - 1,
+            count=begin.size - 1,
             total=rows.size,
         )
         return rows[:0], (noise,)
-    length = np.diff(np.append(first, rows.size))
-    begin_row = rows[first]
-    end_row = rows[first + length - 1]
+    length = np.diff(np.append(begin, rows.size))
+    begin_row = rows[begin]
+    end_row = rows[begin + length - 1]
 
-    def is_out_of_reach(earlier: int, later: int) -> bool:
-        """Whether a jump lies between the end of an earlier and the begin of a later stretch."""
-        end = end_row[earlier : earlier + 1]
-        begin = begin_row[later : later + 1]
-        return bool(_is_far(channel, end, begin, step)[0])
+    def is_jump(earlier: int, later: int) -> bool:
+        """Whether the step from the end of a stretch to the begin of a later one is a jump."""
+        from_row = end_row[earlier : earlier + 1]
+        to_row = begin_row[later : later + 1]
+        return bool(_is_far(channel, from_row, to_row, step)[0])
 
-    # A long stretch is kept wherever it is: the sensor was set anew, or a gap has ended.
+    # A long stretch is always kept: the sensor was set anew, or a gap has ended.
     is_short = length <= STRAY_ROWS
-    is_stray = np.zeros(first.shape, np.bool_)
+    is_stray = np.zeros(begin.shape, np.bool_)
     longest = int(np.argmax(length))
-    kept = longest  # the last one on the way to the end
-    for stretch in range(longest + 1, first.size):
-        is_stray[stretch] = is_short[stretch] and is_out_of_reach(kept, stretch)
+    last_kept = longest  # on the way to the end
+    for stretch in range(longest + 1, begin.size):
+        is_stray[stretch] = is_short[stretch] and is_jump(last_kept, stretch)
         if not is_stray[stretch]:
-            kept = stretch
-    kept = longest  # the same on the way to the begin
+            last_kept = stretch
+    last_kept = longest  # on the way to the begin
     for stretch in range(longest - 1, -1, -1):
-        is_stray[stretch] = is_short[stretch] and is_out_of_reach(stretch, kept)
+        is_stray[stretch] = is_short[stretch] and is_jump(stretch, last_kept)
         if not is_stray[stretch]:
-            kept = stretch
+            last_kept = stretch
     stray_rows = rows[np.repeat(is_stray, length)]
     return np.asarray(stray_rows, np.intp), ()
 
 
 def _begins_of_stretches(channel: Channel, rows: Rows, step: _Step) -> Integers:
-    """Places in ``rows`` at which a stretch begins: 0, and each place behind a jump."""
+    """Indices into ``rows`` at which a stretch begins: 0, and each one after a jump."""
     begins = [np.zeros(1, np.intp)]
-    for begin in range(0, rows.size - 1, _BLOCK):
-        end = begin + _BLOCK + 1
-        block = rows[begin:end]
+    for block_begin in range(0, rows.size - 1, _BLOCK):
+        block_end = block_begin + _BLOCK + 1  # one more, for the step to the next block
+        block = rows[block_begin:block_end]
         is_far = _is_far(channel, block[:-1], block[1:], step)
-        far = np.flatnonzero(is_far)
-        begins.append(far + begin + 1)
+        before_jump = np.flatnonzero(is_far)
+        begins.append(before_jump + block_begin + 1)
     return np.concatenate(begins)

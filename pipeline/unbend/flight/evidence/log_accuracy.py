@@ -21,27 +21,27 @@ VELOCITY_GATE_M_S = GATE_SIGMAS * 0.5
 HEIGHT_GATE_M = GATE_SIGMAS * 3.0
 
 # The steady state of that filter (place, velocity, tilt; EK3_ACC_P_NSE 0.35 m/s2 and EK3_GYRO_P_NSE
-# 0.015 rad/s in steps of 12 ms; fixes at 5 and 10 Hz) has 0.23 and 0.21 deg of tilt; innovations of
-# velocity that last shift its place by 1.1 and 1.3 m for each m/s; its slowest pole forgets in 3.4
-# and 2.9 s, of which the window takes three on both sides of an instant.
+# 0.015 rad/s in steps of 12 ms; fixes at 5 and 10 Hz) has a sigma of the tilt of 0.23 and 0.21 deg;
+# constant innovations of velocity shift its place by 1.1 and 1.3 m for each m/s; its slowest time
+# constant is 3.4 and 2.9 s, and the window takes three of them on both sides of an instant.
 TILT_RAD = float(np.radians(0.22))
 FILTER_TIME_S = 1.3
 WINDOW_NS = 10 * NANOSECONDS_PER_SECOND
-ONE_SIGMA_OF_GATE = 0.2  # taken for the innovation where none is logged
+ONE_SIGMA_OF_GATE = 0.2  # one of five sigmas: taken for the innovation if none is logged
 
-# What no innovation shows. Two flights of ArduPilot's simulator, each by itself and by all samples:
-# 0.110 and 0.085 deg about a level axis, 0.38 and 0.33 deg about the vertical one.
+# Errors that no innovation shows. Two flights of ArduPilot's simulator, each by itself and by all
+# samples: 0.110 and 0.085 deg about a level axis, 0.38 and 0.33 deg about the vertical one.
 LEAST_TILT_RAD = np.radians(0.1)
 LEAST_YAW_RAD = np.radians(0.36)
-STEEPEST_DIP = 6.0  # tangent; nearer to a magnetic pole no compass is used
+LARGEST_DIP_TANGENT = 6.0  # of the magnetic field; nearer to a magnetic pole no compass is used
 
-RANGE_ERROR_M = 3.0  # of a receiver without corrections, which its HDOP multiplies
-HORIZONTAL_RANGES = 0.5**0.5  # range errors for each HDOP, of one horizontal axis
-VERTICAL_RANGES = 1.5
+RANGE_ERROR_M = 3.0  # of a receiver without corrections; times HDOP and a factor it is a sigma
+HORIZONTAL_RANGES = 0.5**0.5  # this factor for one horizontal axis
+VERTICAL_RANGES = 1.5  # and for the height
 DRIFT_M_S = 2.0  # of a filter without fixes
 USUAL_INTERVAL_S = 1.0  # of fixes: a filter drifts only after a longer one
 
-_REPORTS = ("sigma_h_m", "sigma_v_m", "hdop")  # what a channel says of its own accuracy
+_REPORTS = ("sigma_h_m", "sigma_v_m", "hdop")  # columns in which a channel reports its accuracy
 
 
 class PositionSigmas(NamedTuple):
@@ -67,11 +67,11 @@ class _PositionVariances(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LogAccuracy:
-    """What a log says about the accuracy of its positions and attitudes; None where nothing.
+    """The channels by which a log shows the accuracy of its positions and attitudes.
 
-    ``receiver`` has ``sigma_h_m`` and ``sigma_v_m``, or ``hdop``; so have ``spare_receivers``,
-    which count where it is silent. ``health`` has the innovations of the filter over their gates,
-    ``fused`` the heights of the filter.
+    None where the log has no such channel. ``receiver`` has ``sigma_h_m`` and ``sigma_v_m``, or
+    ``hdop``; so have ``spare_receivers``, which count where it is silent. ``health`` has the
+    innovations of the filter over their gates, ``fused`` the heights of the filter.
     """
 
     receiver: Channel | None = None
@@ -82,8 +82,8 @@ class LogAccuracy:
     def positions(self, channel: Channel, time_ns: TimeArray) -> PositionSigmas:
         """(m,) sigmas of the positions of a channel at instants; NaN where unknown.
 
-        They are those that the channel itself reports. A filter that reports none has those of its
-        receiver together with its own innovations.
+        They are those that the channel itself reports. For a filter that reports none, they combine
+        those of its receiver and its own innovations.
         """
         if any(name in channel.columns for name in _REPORTS):
             variances = self._channel_variances(channel, time_ns)
@@ -97,15 +97,14 @@ class LogAccuracy:
     def _channel_variances(self, channel: Channel, time_ns: TimeArray) -> _PositionVariances:
         """(m,) variances that a channel reports of its own positions.
 
-        That of the height includes its scatter about the filter's height. At instants without a
-        report a channel other than the known receiver has the variances of a filter: those of the
-        receiver and more.
+        That of the height includes its scatter about the filter's height. Where a channel other
+        than ``receiver`` reports nothing, its variances are those of a filter.
         """
         reported = _reported_variances(channel, time_ns)
         horizontal_m2 = reported.horizontal_m2
         about_fused_m2 = self._variance_about_fused(channel, time_ns)
         height_m2 = reported.height_m2 + about_fused_m2
-        is_silent = ~np.isfinite(horizontal_m2)  # reports hold both or neither
+        is_silent = ~np.isfinite(horizontal_m2)  # a report has both variances or neither
         has_other_receiver = self.receiver is not None and channel is not self.receiver
         if has_other_receiver and is_silent.any():
             of_filter = self._filter_variances(time_ns)
@@ -114,7 +113,7 @@ class LogAccuracy:
         return _PositionVariances(horizontal_m2, height_m2)
 
     def _filter_variances(self, time_ns: TimeArray) -> _PositionVariances:
-        """(m,) variances of a filter's positions: its receiver's, and of its own innovations.
+        """(m,) variances of a filter's positions: those of its receiver plus those by innovations.
 
         NaN without a receiver.
         """
@@ -135,9 +134,9 @@ class LogAccuracy:
         return _PositionVariances(horizontal_m2, height_m2)
 
     def _variance_about_fused(self, channel: Channel, time_ns: TimeArray) -> Array:
-        """(m,) variance [m2] of a channel's heights about those of the filter, which drift slowly.
+        """(m,) variances [m2] of a channel's heights about those of the filter, near instants.
 
-        0 where there are no heights of a filter.
+        The heights of the filter are smooth, as they drift slowly. 0 without heights of a filter.
         """
         name = channel.height_column
         if self.fused is None or name is None or name not in self.fused.columns:
@@ -173,12 +172,15 @@ class LogAccuracy:
         tilt = np.hypot(LEAST_TILT_RAD, GATE_SIGMAS * TILT_RAD * gates)
         latitude = np.abs(np.nan_to_num(lat_rad))
         dipole = 2.0 * np.tan(latitude)
-        dip = np.clip(dipole, 0.0, STEEPEST_DIP)
+        dip = np.clip(dipole, 0.0, LARGEST_DIP_TANGENT)
         yaw = np.hypot(LEAST_YAW_RAD, dip * tilt)
         return AttitudeSigmas(tilt, yaw)
 
     def innovation(self, kind: str, time_ns: TimeArray) -> Array:
-        """(m,) rms of an innovation over its gate about instants; 0 where it is not logged."""
+        """(m,) rms, near instants, of an innovation over its gate; 0 if it is not logged.
+
+        ``kind`` : position, velocity or height.
+        """
         column = f"innovation_{kind}"
         if self.health is None or column not in self.health.columns:
             return np.zeros(time_ns.shape)
@@ -189,7 +191,7 @@ class LogAccuracy:
 def _reported_variances(source: Channel, time_ns: TimeArray) -> _PositionVariances:
     """(m,) variances by the report of the sample nearest to each instant.
 
-    More than `USUAL_INTERVAL_S` away from that sample a filter has drifted.
+    They grow by a drift with the time beyond `USUAL_INTERVAL_S` from that sample.
     """
     row = nearest_rows(time_ns, source.time_ns)
     away_s = _seconds_to_nearest(source, time_ns)
@@ -206,7 +208,7 @@ def _reported_variances(source: Channel, time_ns: TimeArray) -> _PositionVarianc
 def _variances_of_receivers(
     receivers: tuple[Channel, ...], time_ns: TimeArray
 ) -> _PositionVariances:
-    """(m,) variances that receivers report: of the first, and of a later one where it is silent."""
+    """(m,) variances reported by the first receiver or, where it is silent, the nearest in time."""
     first = receivers[0]
     variances = _reported_variances(first, time_ns)
     away_s = _seconds_to_nearest(first, time_ns)
@@ -227,7 +229,10 @@ def _seconds_to_nearest(source: Channel, time_ns: TimeArray) -> Array:
 
 
 def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Array:
-    """(n,) sigma [m] that a source reports in a column; where that is unknown, by its HDOP."""
+    """(n,) sigmas [m] that a source reports in a column; where unknown, those by its HDOP.
+
+    ``ranges_per_hdop`` : sigma over range error for an HDOP of 1.
+    """
     metres_per_hdop = ranges_per_hdop * RANGE_ERROR_M
     by_hdop = metres_per_hdop * source.get("hdop")
     sigma = source.get(column)
@@ -236,16 +241,16 @@ def _reported_sigma(source: Channel, column: str, ranges_per_hdop: float) -> Arr
 
 
 class _Scatter(NamedTuple):
-    """(m,) mean and standard deviation of values about instants."""
+    """(m,) means and standard deviations of values near instants."""
 
     mean: Array
     deviation: Array
 
 
 def _scatter_about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> _Scatter:
-    """Mean and standard deviation of the finite values within `WINDOW_NS` of each instant.
+    """Mean and standard deviation of the finite values within `WINDOW_NS` of each of (m,) instants.
 
-    ``stamps`` are the times of the values. Mean and deviation are 0 where there is no value.
+    ``stamps`` (n,) : times of the ``values`` (n,), in rising order. Both are 0 without a value.
     """
     is_known = np.isfinite(values)
     known_ns = stamps[is_known]
@@ -272,11 +277,11 @@ def _scatter_about(stamps: TimeArray, values: Array, time_ns: TimeArray) -> _Sca
 def with_accuracy(
     roles: Mapping[str, Channel], channels: Iterable[Channel]
 ) -> tuple[dict[str, Channel], LogAccuracy]:
-    """The roles with velocities and body rates in their channels, and how accurate the log is.
+    """Add velocities and body rates to the channels of roles; returns them and the log's accuracy.
 
-    The accuracy is what channels of the position's sender tell. A channel without velocities or
-    rates gets those of another channel of the same sender (MAVLink's system). The attitude of a
-    gimbal gets none: the body rates of its sender are the aircraft's.
+    A channel without velocities or rates gets those of another channel of the same sender
+    (MAVLink's system). The attitude of a gimbal gets none, because the body rates of its sender are
+    those of the aircraft. The accuracy is by the channels of the sender of the position.
     """
     by_rank = sorted(channels, key=lambda channel: (channel.rank, channel.name))
     result = dict(roles)
@@ -296,28 +301,31 @@ def with_accuracy(
 
 
 def _accuracy_of_sender(channels: list[Channel]) -> LogAccuracy:
-    """The best receiver, health and fused heights among the channels of one sender, best first."""
+    """The receivers, health and fused heights in the channels of one sender, best rank first."""
 
     def first(fits: Callable[[Channel], bool]) -> Channel | None:
+        """The best channel that fits."""
         fitting = filter(fits, channels)
         return next(fitting, None)
 
     def is_receiver_with_accuracy(channel: Channel) -> bool:
+        """Whether a channel is a receiver that reports its accuracy."""
         columns = channel.columns
         return "height" in channel.roles and ("sigma_h_m" in columns or "hdop" in columns)
 
     def has_innovations(channel: Channel) -> bool:
+        """Whether a channel is the health of a filter."""
         columns = channel.columns
         return "innovation_position" in columns and "innovation_velocity" in columns
 
-    # A filter's height is fused and not measured: its channel does not offer the role of a height.
-    def is_fused(channel: Channel) -> bool:
+    def has_fused_heights(channel: Channel) -> bool:
+        """Whether a channel is of a filter: its height is not measured, and not offered as role."""
         return "position" in channel.roles and "height" not in channel.roles
 
     receivers = [channel for channel in channels if is_receiver_with_accuracy(channel)]
     return LogAccuracy(
         receiver=receivers[0] if receivers else None,
         health=first(has_innovations),
-        fused=first(is_fused),
+        fused=first(has_fused_heights),
         spare_receivers=tuple(receivers[1:]),
     )

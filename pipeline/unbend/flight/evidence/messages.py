@@ -1,4 +1,4 @@
-"""What the evidence of a log says: its codes, and one function for each message and refusal."""
+"""The messages on the evidence of a log: codes, and a function for each message and refusal."""
 
 import math
 
@@ -68,7 +68,7 @@ SENSOR_JUMP = Code(
 
 
 def samples_jump(*, where: str, count: int, total: int, first_s: float) -> Message:
-    """Samples that neither side can reach."""
+    """Samples that cannot be reached in time from the samples before and after them."""
     return loss(
         SENSOR_JUMP,
         "{count} of {total_samples} jump faster than a vehicle or the air can change, the first "
@@ -94,7 +94,7 @@ SENSOR_CONSTANT = Code(
 
 
 def sensor_constant(*, channel: str, role: str, what: str, count: int, moved: str) -> Message:
-    """A value that never changes, although another sensor shows that the flight moved."""
+    """A value (``what``, in words) that never changes although the flight moved (``moved``)."""
     return finding(
         SENSOR_CONSTANT,
         "all {samples} of the {role} have {what}, although {moved}",
@@ -116,7 +116,7 @@ SENSOR_NOISE = Code(
 
 
 def samples_are_noise(*, where: str, count: int, total: int) -> Message:
-    """A series that jumps too often for single samples to be wrong."""
+    """A series with so many jumps that the wrong samples cannot be identified."""
     return warning(
         SENSOR_NOISE,
         (
@@ -216,7 +216,7 @@ BARO_DRIFT = Code(
 
 
 def barometer_drifts(*, barometer: str, reason: str, when: str) -> Message:
-    """A barometer leaves the height of a receiver that is right."""
+    """A barometer drifts from the height of a receiver that is right; its pressure is removed."""
     return warning(
         BARO_DRIFT,
         "{reason}: its pressure is not used from {when}",
@@ -227,7 +227,7 @@ def barometer_drifts(*, barometer: str, reason: str, when: str) -> Message:
 
 
 def spare_barometer_drifts(*, barometer: str, reason: str, when: str) -> Message:
-    """A barometer that no station takes its pressure from leaves the height of a good receiver."""
+    """A barometer drifts from the height of a receiver that is right; no station uses it."""
     return note(
         BARO_DRIFT,
         "{reason} from {when}; no station uses this barometer",
@@ -248,7 +248,7 @@ STATIONS_STAND_IN = Code(
 def another_source_stands_in(
     *, count: int, when: str, first: str, quantity: str, source: str, reason: str
 ) -> Message:
-    """Exposures whose position or height another source gives."""
+    """Exposures in a stretch in which another source replaces the position or height."""
     return fallback(
         STATIONS_STAND_IN,
         "{exposures} from {when}, the first {first}: {where} from {source}, because {reason}",
@@ -314,7 +314,11 @@ def exposures_elsewhere(
     limit_m: float,
     shift_s: float,
 ) -> Message:
-    """The places that a log has of exposures are far from the flight at that time."""
+    """The places that a log has of exposures are far from the flight at that time.
+
+    ``shift_s`` : shift of time that explains them, positive if the flight is there later; NaN if
+    none does.
+    """
     likely = "likely the events of another vehicle or flight"
     if math.isfinite(shift_s):
         likely = (
@@ -346,7 +350,7 @@ def exposures_at_other_heights(
     off_m: float,
     limit_m: float,
 ) -> Message:
-    """The heights that a log has of exposures are none of the flight's at that time."""
+    """The heights that a log has of exposures are far from all heights of the flight."""
     return finding(
         EVENTS_ELSEWHERE,
         (
@@ -367,7 +371,7 @@ def exposures_at_other_heights(
 def exposures_tilted_otherwise(
     *, channel: str, count: int, total: int, attitude: str, off_deg: float, limit_deg: float
 ) -> Message:
-    """The attitudes that a log has of exposures are not the flight's at that time."""
+    """The verticals that a log has of exposures differ from that of the flight at that time."""
     return finding(
         EVENTS_ELSEWHERE,
         (

@@ -1,4 +1,4 @@
-"""Replacing a source of position or height where it is plain that it is wrong."""
+"""Replacing a source of position or height by another one where it is clear that it is wrong."""
 
 from dataclasses import dataclass, replace
 
@@ -10,21 +10,22 @@ from unbend.flight.evidence.sources import EARTH_RADIUS_M, SourcePath, is_receiv
 from unbend.flight.evidence.stretches import ATTITUDE, SECOND, Stretch
 from unbend.units import Array, Mask
 
-LONGEST_COAST_S = 2.0  # a filter without a receiver for longer is no longer known to be right [s]
+LONGEST_COAST_S = 2.0  # without a receiver for longer, a filter may be wrong [s]
 BESIDE_S = 10.0  # a source that replaces another agrees with it for so long before and after [s]
 LONGEST_REPLACED_S = 60  # for longer, only a receiver replaces a source [s]
-# Half the acceleration by which a filter drifts whose vertical is 0.25 degrees wrong [m/s2].
-LARGEST_DRIFT_M_S2 = 0.02
+# Half the acceleration of the drift of a filter with a vertical that is 0.25 degrees wrong [m/s2].
+LEAST_DRIFT_M_S2 = 0.02
 _FEWEST_BESIDE = 5  # samples before, and as many after, in which two sources are compared
 _HEIGHTS = ("h_msl_m", "h_ellipsoid_m", "h_home_m", "h_gnss_m")
-_MOST_AGREE = 90.0  # percent of these samples at least differ by no more than noise
+_AGREEING_PERCENT = 90.0  # two sources agree if so many samples differ by no more than noise
 
 
 @dataclass(frozen=True, eq=False)
 class Sources:
     """The source that plays the role of a quantity, and its difference from each other source.
 
-    ``barometers`` : the names of those that are compared; the first plays the role of the pressure.
+    ``barometers`` : names of the barometers among the other sources; the first has the role of the
+    pressure.
     """
 
     quantity: str
@@ -63,12 +64,12 @@ class Replacement:
 
 
 def replacement_for(sources: Sources, stretch: Stretch) -> Replacement | None:
-    """The source that replaces a suspect one where it is plain what is wrong; else None.
+    """The source that replaces the suspect one in a stretch; None if it is not clear what is wrong.
 
-    It is plain if a receiver fails in the stretch or a second beside it: it is silent, steps or
-    reports a poor accuracy. The replacement must not fail, and must agree with the suspect source
-    for 10 s before and after. A receiver may replace any source; a filter or a barometer only a
-    receiver, and for at most 60 s.
+    It is clear if a receiver fails (`_fails`) in the stretch, or within a second of it. The
+    replacement must not fail there, and must agree with the suspect source for 10 s before and
+    after. A receiver may replace any source; a filter or a barometer only a receiver, and for at
+    most 60 s.
     """
     wide = replace(
         stretch,
@@ -104,7 +105,10 @@ def _fails(path: SourcePath, stretch: Stretch) -> bool:
 
 
 def _if_agrees_beside(difference: Difference, stretch: Stretch) -> Replacement | None:
-    """The replacement by the other source, if it agrees for 10 s before and after a stretch."""
+    """The replacement by the other source of a difference, if both agree beside a stretch.
+
+    They must agree for 10 s before and for 10 s after it; else None.
+    """
     margin_ns = int(BESIDE_S * SECOND)
     before = replace(
         stretch,
@@ -124,16 +128,16 @@ def _if_agrees_beside(difference: Difference, stretch: Stretch) -> Replacement |
 
 
 def _agreed_offset(difference: Difference, stretch: Stretch) -> Array | None:
-    """(k,) median difference of two sources in a stretch; None if they do not agree there.
+    """(k,) median difference [m] of two sources in a stretch in which they agree.
 
-    None also with fewer than five samples to compare.
+    None if they do not agree there, or have fewer than five samples to compare.
     """
     rows = stretch.covers(difference.other.channel.time_ns)
     rows &= np.isfinite(difference.off_m)
     if np.count_nonzero(rows) < _FEWEST_BESIDE:
         return None
     share_of_limit = difference.off_m / difference.limit_m
-    largest_share = np.percentile(share_of_limit[rows], _MOST_AGREE)
+    largest_share = np.percentile(share_of_limit[rows], _AGREEING_PERCENT)
     if largest_share >= 1.0:
         return None
     offset_m: Array = np.median(difference.apart_m[rows], axis=0)
@@ -143,17 +147,17 @@ def _agreed_offset(difference: Difference, stretch: Stretch) -> Array | None:
 def attitude_drifts(
     filter_path: SourcePath, replacement: Replacement, stretch: Stretch
 ) -> list[Stretch]:
-    """The stretch as one of a suspect attitude, if the filter drifted; else nothing.
+    """The same stretch as one of suspect attitude, if the filter drifted in it; else empty.
 
-    A filter that goes away from its replacement without a step has a wrong vertical: with a quarter
-    of a degree of tilt, a filter without a receiver is 0.02 m/s² t² away after the time t. The
-    filter drifted if it is at least as far away at the sample that is farthest off, and farther
-    than noise. Samples at which the filter has stepped away do not count.
+    A filter that moves away from its replacement without a step has a wrong vertical: with a
+    quarter of a degree of tilt, a filter without a receiver is 0.02 m/s² t² away after the time t.
+    It drifted if the sample that is farthest off is at least as far away, and farther than noise.
+    Samples at which the filter has stepped away do not count.
     """
     difference = replacement.difference
     time_ns = replacement.channel.time_ns
     has_stepped = filter_path.stepped_m.any(axis=1)
-    # 0 between two samples of the filter of which neither has stepped away.
+    # 0 between two samples of the filter that both have not stepped away.
     stepped_share = np.interp(time_ns, filter_path.channel.time_ns, has_stepped)
     may_drift = stretch.covers(time_ns) & (stepped_share == 0.0)
     known_off_m = np.nan_to_num(difference.off_m)
@@ -161,7 +165,7 @@ def attitude_drifts(
     worst = int(np.argmax(off_m))
     after_s = (int(time_ns[worst]) - stretch.begin_ns) / SECOND
     noise_m = float(difference.limit_m[worst])
-    least_m = max(noise_m, LARGEST_DRIFT_M_S2 * after_s**2)
+    least_m = max(noise_m, LEAST_DRIFT_M_S2 * after_s**2)
     if off_m[worst] < least_m:
         return []
     reason = (
@@ -178,9 +182,10 @@ def attitude_drifts(
 
 
 def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) -> Channel:
-    """The channel with the samples of the replacement in a stretch, without its lag and offset.
+    """The channel with its samples in a stretch replaced by those of the replacement.
 
-    What the replacement does not know is NaN in these samples.
+    The lag and the offset of the replacement are taken out. Columns that it does not have are NaN
+    in these samples.
     """
     other = replacement.channel
     other_ns = other.time_ns - round(replacement.difference.lag_s * 1e9)
@@ -211,25 +216,28 @@ def with_replaced(channel: Channel, replacement: Replacement, stretch: Stretch) 
 def _filling_columns(
     replacement: Replacement, inside: Mask, sigma: str, height_column: str | None
 ) -> dict[str, Array]:
-    """The columns of some samples of a replacement, moved by its offset.
+    """The columns of the samples ``inside`` (n,) of a replacement, with the offset added.
 
-    The column named ``sigma`` has the standard deviations that the source itself reports, with
-    `Replacement.spread_m` added in quadrature. ``height_column`` is that of the replaced channel.
+    ``sigma`` : name of the column for the standard deviations, which are those that the source
+    itself reports, with `Replacement.spread_m` added in quadrature. ``height_column`` : that of the
+    replaced channel.
     """
     other = replacement.channel
     columns = {name: values[inside] for name, values in other.columns.items()}
-    columns |= moved(other, inside, replacement.offset_m, height_column)
+    columns |= moved_columns(other, inside, replacement.offset_m, height_column)
     unknown = np.full(np.count_nonzero(inside), np.nan)
     reported_m = np.nan_to_num(columns.get(sigma, unknown))
     columns[sigma] = np.hypot(reported_m, replacement.spread_m)
     return columns
 
 
-def moved(channel: Channel, rows: Mask, by_m: Array, into_column: str | None) -> dict[str, Array]:
-    """Columns of some rows of a channel, moved by (2,) metres north and east or (1,) up.
+def moved_columns(
+    channel: Channel, rows: Mask, by_m: Array, into_column: str | None
+) -> dict[str, Array]:
+    """The columns of place in some rows of a channel, moved by (2,) metres north, east or (1,) up.
 
-    A height is read from the channel's own height column and returned as ``into_column``, the
-    height column of the channel that it replaces; the other kinds of height become NaN.
+    Heights are read from the channel's own height column and returned as ``into_column``, the
+    height column of the channel that they replace; the other kinds of height become NaN.
     """
     is_height = by_m.size == 1
     if is_height:

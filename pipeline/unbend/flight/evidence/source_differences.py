@@ -11,53 +11,54 @@ from unbend.flight.evidence.sources import (
     SOURCE_GAP_S,
     SourcePath,
     is_receiver,
-    metres,
+    north_east_m,
     places_of,
 )
 from unbend.flight.evidence.stretches import HEIGHT, POSITION, Run, runs
 from unbend.flight.interpolation import interpolate
 from unbend.units import NANOSECONDS_PER_SECOND, Array, Mask, Rows
 
-# Beyond lag and offset, two sources differ by as much through noise [m].
+# Noise makes two sources differ by as much, apart from lag and offset [m].
 NOISE_MISFIT_M = {POSITION: 2.0, HEIGHT: 4.0}
 
 _SIGMA_OF_MEDIAN = 1.48  # standard deviation of normal errors over their median absolute value
 
 # Lag of a source behind another, by differences along the track.
 _SLOWEST_M_S = 2.0  # slower samples show no lag
-_FAST_SHARE = 0.1  # of the square of usual speeds (95th percentile): nor do samples below it
-_FEWEST_FAST = 20  # samples: fewer show no lag
-_LAG_PARTS = 20  # of the flight, whose lags are tried where the median one does not fit
+# Nor do samples with a squared speed below this share of the usual one (95th percentile).
+_FAST_SHARE = 0.1
+_FEWEST_FAST = 20  # fewer fast samples show no lag
+_LAG_PARTS = 20  # of the flight; the lag of each is tried where the median lag does not fit
 _LONGEST_LAG_S = 0.3  # of receivers; more is a constant offset, which looks like a lag along a line
-_PART_OF_FLIGHT = 0.1  # two sources do not agree by chance in so much of it, whatever the rest is
+_PART_OF_FLIGHT = 0.1  # two sources that agree in so large a part of it do not do so by chance
 
 # Heights of a barometer.
 _SLOPE_M = -8434.5  # dh / d ln p at 288.15 K
-_FEWEST_PRESSURES = 30
-_SPAN_OF_PARABOLA_M = 300.0  # of a flight: over less, noise would bend it
-_LEAST_SCATTER_M = 1.0
+_FEWEST_PRESSURES = 30  # with a height, to fit their relation
+_SPAN_OF_PARABOLA_M = 300.0  # of heights; over less, noise would bend the parabola
+_LEAST_SCATTER_M = 1.0  # of heights about those of the pressure
 
 _HOUR_NS = 3600 * NANOSECONDS_PER_SECOND
 
-# What weather changes between the height of a pressure and that of a receiver: 0.5 hPa an hour.
+# Weather moves the height of a pressure: 0.5 hPa an hour.
 WEATHER_M_PER_H = 4.2
-# An inversion makes the relation of height and ln p none of a parabola: 9 K in 250 m leave 15 m of
-# 2 km. Beside hours of level flight the climb has no share in the scatter.
+# A parabola in ln p leaves this share of a height unexplained: after an inversion of 9 K in 250 m
+# it is 15 m of 2 km. Hours of level flight do not show it in the scatter.
 STRUCTURE_SHARE = 0.002
 
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """How far a source is from another, at the (n,) times of the other.
+    """How far a source is from the ``other`` one, at the (n,) times of the other.
 
     NaN where either is missing, or the other's accuracy is poor.
 
-    apart_m : (n, k) place by the source minus place by the other, from which the other's own steps
-        and its constant lag are taken out.
+    apart_m : (n, k) place by the source minus place by the other; the steps and the constant lag of
+        the other are taken out.
     off_m : (n,) distance of ``apart_m`` from its usual value.
     lag_s : by how much the other is behind the source.
-    limit_m : (n,) the largest ``off_m`` that is noise, or weather.
-    scatter_m : standard deviation of ``off_m`` on the samples that show its usual value.
+    limit_m : (n,) the largest ``off_m`` that noise or weather can cause.
+    scatter_m : standard deviation of ``off_m`` in the samples that give the usual value.
     """
 
     other: SourcePath
@@ -69,9 +70,9 @@ class Difference:
 
     @property
     def apart(self) -> list[Run]:
-        """Rows of the other in which the two differ by more than noise.
+        """Runs of rows of the other source in which ``off_m`` exceeds its limit.
 
-        Such a run reaches as far as they differ by more than half of that.
+        A run begins and ends where ``off_m`` exceeds half of the limit.
         """
         with np.errstate(invalid="ignore"):
             is_half_off = self.off_m > 0.5 * self.limit_m
@@ -89,22 +90,24 @@ def source_difference(
 ) -> Difference:
     """How far a source is from another source, beyond the usual offset of the two.
 
-    ``velocity`` (n, k) [m/s] at the times of the other source. The usual offset is the median, or
-    that of a tenth of the flight or more in which the two agree:
+    ``velocity`` (n, k) [m/s] at the times of the other source. ``steady_until_ns``: when ``source``
+    first stepped and did not return; None if it did not. The usual offset is the median of all
+    samples, or of those in which the two agree, if these are more than a tenth of the flight:
 
     * Positions, and heights of two receivers, agree where they differ by less than noise.
-    * Other heights may have any offset. They agree before ``steady_until_ns``, when ``source``
-      first stepped and did not return; nowhere if it never did. One of these follows a pressure, so
-      that the air moves it: the limit grows with time and height from where the usual offset was
-      (`air_change_m`).
+    * Other heights may have any offset. They agree before ``steady_until_ns``, nowhere if it is
+      None. One of them follows a pressure, so that the air moves it: the limit grows with time and
+      height from where the usual offset was (`air_change_m`).
     """
     noise_m = NOISE_MISFIT_M[quantity]
     are_receivers = is_receiver(source) and is_receiver(other.channel)
     agree_near_zero = quantity == POSITION or are_receivers
-    known_velocity = np.nan_to_num(velocity)  # where it is unknown, no lag is seen or taken out
+    known_velocity = np.nan_to_num(velocity)  # with 0, no lag is determined or taken out
     apart_m = _apart_with_lag(source, other, quantity)
     is_known = np.isfinite(apart_m).all(axis=1) & other.good
-    lag = _constant_lag(apart_m, known_velocity, is_known, noise_m, may_part=agree_near_zero)
+    lag = _constant_lag(
+        apart_m, known_velocity, is_known, noise_m, may_agree_in_part=agree_near_zero
+    )
     apart_m -= lag.seconds * known_velocity
     # A sample that is not good has either stepped away, and its step is taken out, or its accuracy
     # is poor.
@@ -134,9 +137,10 @@ def source_difference(
 
 
 def air_change_m(time_ns: TimeArray, height_m: Array, settled: Mask) -> Array:
-    """(n,) metres by which the air moves heights of a pressure from the ``settled`` samples on.
+    """(n,) sigmas [m] of how the air moves heights of a pressure, relative to ``settled`` samples.
 
-    Those samples show the usual height; their median time and height count. It is one sigma.
+    It grows with the time and the height from the median of the ``settled`` samples (n,), which are
+    those that give the usual offset. 0 without any.
     """
     if not settled.any():
         return np.zeros(time_ns.shape)
@@ -150,9 +154,9 @@ def air_change_m(time_ns: TimeArray, height_m: Array, settled: Mask) -> Array:
 
 
 def _apart_with_lag(source: Channel, other: SourcePath, quantity: str) -> Array:
-    """(n, k) metres from the other source, whose own steps are taken out, to ``source``.
+    """(n, k) metres from the other source to ``source``, at the times of the other source.
 
-    They hold at the times of the other source; its lag is still in them.
+    The steps of the other source are taken out; its lag is still included.
     """
     # A height gives one column, a position two.
     components_of_places = places_of(source, quantity).T
@@ -163,26 +167,28 @@ def _apart_with_lag(source: Channel, other: SourcePath, quantity: str) -> Array:
     components = [interpolate(placed, name, time_ns, gap_s) for name in columns]
     other_places = places_of(other.channel, quantity)
     apart = np.stack(components, axis=1) - other_places
-    apart_m = apart if quantity == HEIGHT else metres(apart, other_places[:, 0])
+    apart_m = apart if quantity == HEIGHT else north_east_m(apart, other_places[:, 0])
     return np.asarray(apart_m + other.stepped_m)
 
 
 class _Lag(NamedTuple):
-    """By how many seconds the other source is behind, and the (n,) samples that show it."""
+    """By how many seconds the other source is behind, and (n,) True for samples that show it."""
 
     seconds: float
     shown_by: Mask
 
 
 def _constant_lag(
-    apart_m: Array, velocity: Array, known: Mask, noise_m: float, *, may_part: bool
+    apart_m: Array, velocity: Array, known: Mask, noise_m: float, *, may_agree_in_part: bool
 ) -> _Lag:
-    """The lag that differences along the track show, and the samples that show it.
+    """The constant lag of the other source, from differences along the track.
 
-    * Too few samples are fast: 0; all known samples count as showing that.
-    * The lags of the fast samples scatter by more than noise, and the two sources may agree in a
-      part of the flight only (``may_part``): the lag of such a part.
-    * Else the median lag of the fast samples.
+    ``apart_m``, ``velocity`` (n, k); ``known`` (n,) : the samples that count.
+
+    * If too few samples are fast, it is 0, and all known samples count as those that show it.
+    * If the lags of the fast samples scatter by more than noise, and the two sources
+      ``may_agree_in_part`` of the flight only, it is the lag of such a part.
+    * Else it is the median lag of the fast samples.
     """
     square_speed = np.sum(velocity**2, axis=1)
     usual_square = float(np.percentile(square_speed, 95.0))
@@ -195,20 +201,21 @@ def _constant_lag(
     median_s = float(np.median(lags))
     scatter_s = np.median(np.abs(lags - median_s))
     scatter_m = scatter_s * np.sqrt(np.median(square_speed))
-    if may_part and scatter_m > noise_m:
+    if may_agree_in_part and scatter_m > noise_m:
         lag_s = _lag_of_a_part(lags, apart_m[is_fast], velocity[is_fast])
         return _Lag(lag_s, is_fast)
     return _Lag(median_s, is_fast)
 
 
 def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
-    """The lag [s] for which the 10th percentile of (f, k) differences is smallest.
+    """The lag [s] for which two sources are nearest in a tenth of (f,) samples.
 
-    Two sources may agree in a part of the flight only: tried are the median of all (f,) lags, and
-    that of each twentieth of the flight unless it is longer than receivers have.
+    ``lags`` (f,) [s] of the samples, ``apart_m`` (f, k), ``velocity`` (f, k). The median of all
+    lags is tried, and that of each twentieth of the flight unless it is longer than receivers have.
     """
 
     def distance_of_nearest(lag_s: float) -> float:
+        """The 10th percentile of the distances that a lag leaves [m]."""
         without_lag_m = apart_m - lag_s * velocity
         distance_m = np.linalg.norm(without_lag_m, axis=1)
         return float(np.percentile(distance_m, 100.0 * _PART_OF_FLIGHT))
@@ -222,7 +229,7 @@ def _lag_of_a_part(lags: Array, apart_m: Array, velocity: Array) -> float:
 
 
 class _Misfit(NamedTuple):
-    """(n,) metres beyond the usual offset, and the samples on which that offset rests."""
+    """(n,) distances from the usual offset [m], and a mask (n,) of the samples that gave it."""
 
     off_m: Array
     settled: Mask
@@ -237,11 +244,11 @@ class _Misfit(NamedTuple):
 
 
 def _misfit(apart_m: Array, part: Rows, known: Mask, agree: Mask, noise_m: float) -> _Misfit:
-    """How far two sources are apart beyond their usual offset, which each part has for itself.
+    """How far two sources are apart beyond the usual offset of each part of the other source.
 
-    Each part of the other source has an offset of its own, because heights above home have a new
-    home after a restart. The offset of a part rests on its ``known`` samples (n,); if there are
-    none, on all whose difference is known.
+    ``part`` (n,) : number of the part of each sample. Each has an offset of its own, because
+    heights above home have a new home after a restart. It comes from the ``known`` samples (n,) of
+    the part; if there are none, from all that have a difference. ``agree`` : as of `_usual_offset`.
     """
     off_m = np.full(part.size, np.nan)
     settled = np.zeros(part.size, np.bool_)
@@ -265,10 +272,10 @@ def _usual_offset(
     agree: Mask,
     noise_m: float,
 ) -> tuple[Mask, Array]:
-    """The rows that show the usual offset of two sources, and their median difference (k,) [m].
+    """The rows (n,) that give the usual offset of two sources, and the offset (k,) [m].
 
-    These are the usable rows that agree, if they are more than a tenth of the usable ones and their
-    median is another by more than noise; else all usable rows.
+    It is the median difference of all usable rows; but that of the usable rows that agree if these
+    are more than a tenth, and their median differs from the other by more than noise.
     """
     offset_m = np.median(apart_m[usable], axis=0)
     agreeing = usable & agree
@@ -280,10 +287,10 @@ def _usual_offset(
 
 
 def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
-    """A barometer as a source of heights, by the flight's own relation of height and ln p.
+    """A barometer as a source of heights above sea level, by the flight's relation of h and ln p.
 
-    The relation is a parabola, or a line of standard air where the flight spans under 300 m; it is
-    fitted twice, the second time without outliers. None where too few pressures have a height.
+    The relation is a parabola, or a line of standard air if the heights span less than 300 m; it is
+    fitted twice, the second time without outliers. None if too few pressures have a height.
     """
     column = height.height_column
     if column is None or "pressure_pa" not in barometer.columns:
@@ -308,9 +315,9 @@ def height_of_pressure(barometer: Channel, height: Channel) -> Channel | None:
 
 
 def _height_by_log_p(log_p: Array, height_m: Array, usable: Mask) -> Array:
-    """(n,) heights of pressures by a parabola in ln p through the usable rows.
+    """(n,) heights of pressures, by a parabola in ln p that is fitted to the usable rows.
 
-    If these span less than 300 m it is a line with the slope of standard air.
+    If their heights span less than 300 m, it is a line with the slope of standard air.
     """
     if float(np.ptp(height_m[usable])) > _SPAN_OF_PARABOLA_M:
         parabola = np.polynomial.Polynomial.fit(log_p[usable], height_m[usable], 2)
@@ -321,9 +328,9 @@ def _height_by_log_p(log_p: Array, height_m: Array, usable: Mask) -> Array:
 
 
 def _is_near(height_m: Array, of_pressure_m: Array, of_air_m: Array) -> Mask:
-    """(n,) which heights are within three sigma, or 1 m, of those of the pressure.
+    """(n,) True for heights within three sigmas, or 1 m, of those of the pressure.
 
-    The air adds three of its own sigma ``of_air_m``.
+    Three of the sigmas of the air, ``of_air_m``, are added to this limit.
     """
     off_m = np.abs(height_m - of_pressure_m)
     three_sigma_m = 3.0 * _SIGMA_OF_MEDIAN * float(np.nanmedian(off_m))

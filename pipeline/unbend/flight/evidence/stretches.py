@@ -1,4 +1,4 @@
-"""Stretches of a flight in which other evidence contradicts a quantity, and their stations."""
+"""Stretches of a flight in which evidence contradicts a quantity, and the stations in them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ATTITUDE = "attitude"
 
 SECOND = NANOSECONDS_PER_SECOND
 
-_MOST_REASONS = 3  # that a stretch made of several keeps
+_MOST_REASONS = 3  # that a stretch joined from several keeps
 
 
 @dataclass(frozen=True, order=True)
@@ -31,36 +31,36 @@ class Stretch:
     end_ns: int
     quantity: str  # position, height or attitude
     reason: str  # the evidence, in plain words
-    off_m: float = np.nan  # how far off it may be, NaN where unknown
-    replaced_by: str = ""  # the channel whose samples replace the suspect ones
+    off_m: float = np.nan  # how far off the quantity may be; NaN if unknown
+    replaced_by: str = ""  # name of the channel that replaces the suspect samples; "" if none does
 
     def covers(self, time_ns: TimeArray) -> Mask:
-        """Which instants lie in it."""
+        """(n,) True for instants within the stretch, its ends included."""
         return np.asarray((time_ns >= self.begin_ns) & (time_ns <= self.end_ns))
 
     @property
     def when(self) -> str:
-        """From when to when, UTC."""
+        """The begin and the end as text, UTC."""
         ends = np.array([self.begin_ns, self.end_ns], "datetime64[ns]").astype("datetime64[s]")
         return f"{ends[0]} to {ends[1]} UTC"
 
     def meets(self, other: Stretch) -> bool:
-        """Whether the two have a time in common."""
+        """Whether two stretches have a time in common."""
         return self.begin_ns <= other.end_ns and other.begin_ns <= self.end_ns
 
 
-def covered(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
-    """Which instants lie in any of several stretches."""
+def in_any_stretch(stretches: Sequence[Stretch], time_ns: TimeArray) -> Mask:
+    """(n,) True for instants in at least one of the stretches."""
     inside = np.zeros(time_ns.shape, np.bool_)
     for stretch in stretches:
         inside |= stretch.covers(time_ns)
     return inside
 
 
-def merged(stretches: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches of one quantity, of which those less than a second apart are joined.
+def joined_stretches(stretches: Sequence[Stretch]) -> list[Stretch]:
+    """Join stretches of one quantity that overlap or are up to a second apart.
 
-    A joined stretch keeps up to three of the reasons.
+    A joined stretch keeps up to three of the reasons. The result is in the order of time.
     """
     result: list[Stretch] = []
     for stretch in sorted(stretches):
@@ -72,9 +72,9 @@ def merged(stretches: Sequence[Stretch]) -> list[Stretch]:
 
 
 def _joined(first: Stretch, second: Stretch) -> Stretch:
-    """One stretch for two of the same quantity, of which the second begins later.
+    """One stretch for two of the same quantity; the second begins at the same time or later.
 
-    It may be as far off as the worse of both.
+    Its ``off_m`` is the larger of both.
     """
     reasons = first.reason.split("; ")
     if second.reason not in reasons and len(reasons) < _MOST_REASONS:
@@ -88,34 +88,37 @@ def _joined(first: Stretch, second: Stretch) -> Stretch:
 
 
 class Run(NamedTuple):
-    """Rows of a channel from the first to the last."""
+    """Successive rows of a channel: row numbers of the first and of the last one."""
 
     first: int
     last: int
 
     @property
     def rows(self) -> slice:
-        """The rows, to index an array with."""
-        return slice(self.first, self.last + 1)
+        """The rows as a slice, to index an array."""
+        return slice(self.first, self.last + 1)  # a slice ends before its stop
 
 
-def runs(time_ns: TimeArray, bad: Mask, seed: Mask, join_s: float = 1.0) -> list[Run]:
-    """The runs of ``bad`` rows that hold at least one ``seed``, a row that is bad beyond doubt.
+def runs(
+    time_ns: TimeArray, may_be_bad: Mask, is_surely_bad: Mask, join_s: float = 1.0
+) -> list[Run]:
+    """The runs of rows that may be bad and contain at least one row that is surely bad.
 
-    Bad rows that are at most ``join_s`` [s] apart belong to one run, with the rows between them.
+    All arrays are (n,). Rows that may be bad and are at most ``join_s`` [s] apart belong to one
+    run, with all rows between them.
     """
-    if not seed.any():
+    if not is_surely_bad.any():
         return []
-    rows = np.flatnonzero(bad | seed)
-    ends = np.flatnonzero(np.diff(time_ns[rows]) > join_s * SECOND)
+    rows = np.flatnonzero(may_be_bad | is_surely_bad)
+    ends = np.flatnonzero(np.diff(time_ns[rows]) > join_s * SECOND)  # places in ``rows``
     first_rows = rows[np.append(0, ends + 1)]
     last_rows = rows[np.append(ends, rows.size - 1)]
-    with_seed: list[Run] = []
+    bad_runs: list[Run] = []
     for first, last in zip(first_rows.tolist(), last_rows.tolist(), strict=True):
         run = Run(first, last)
-        if seed[run.rows].any():
-            with_seed.append(run)
-    return with_seed
+        if is_surely_bad[run.rows].any():
+            bad_runs.append(run)
+    return bad_runs
 
 
 def stretch_of_run(
@@ -130,10 +133,10 @@ def stretch_of_run(
 def flag_suspect(
     stations: Stations, stretches: Sequence[Stretch], *, use_suspect: bool
 ) -> tuple[Stations, Notes]:
-    """Mark the usable stations in suspect stretches; they stay usable with ``use_suspect``.
+    """Mark the usable stations in suspect stretches as suspect; a message reports each stretch.
 
-    A stretch whose samples another source replaced has a note only, and its stations stay as they
-    are. A station in several stretches counts in each of them.
+    With ``use_suspect`` they stay usable. If another source has replaced the samples in a stretch,
+    its stations are only reported. A station in several stretches is marked for each of them.
     """
     notes: list[Message] = []
     usable = stations.ok  # before any stretch has made one suspect

@@ -13,7 +13,7 @@ from unbend.config import Mission
 from unbend.config.orientations import OrientationSection
 from unbend.flight import heights, rotations
 from unbend.flight.heights import GeodeticOrigin
-from unbend.flight.image_names import renamed
+from unbend.flight.image_names import renamed_like_images
 from unbend.flight.stations import NO_TIME, Stations
 from unbend.messages import Kind, Ledger, Message
 from unbend.stages.exposure_events import camera_of_rows
@@ -71,7 +71,7 @@ def oriented_stations(
     table = ledger.take(in_wgs84(section, table, inputs.geoid))
     ledger.extend(table.notes)
     named_as_in_block = table
-    renamed_images = renamed(
+    renamed_images = renamed_like_images(
         table.image, observations.images, mission.observations.match_names, SECTION
     )
     table = replace(table, image=ledger.take(renamed_images))

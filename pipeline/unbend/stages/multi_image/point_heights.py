@@ -16,7 +16,7 @@ from unbend.block.image_rays import ImageRays, Orientations
 from unbend.block.intersection import PointHeights, point_heights
 from unbend.config import Mission
 from unbend.config.ground import ControlSection, PointTable
-from unbend.flight.heights import HeightSystem, known_home_m
+from unbend.flight.heights import HeightSystem, required_home_m
 from unbend.flight.stations import Stations
 from unbend.geodesy import GeoidGrid, ecef_of_geodetic
 from unbend.messages import Kind, Ledger
@@ -106,7 +106,7 @@ def points_above_sea(
     if places.heights == "ellipsoid":
         h = h - heights.undulation(places.lat_rad, places.lon_rad)
     elif places.heights == "relative":
-        h = h + known_home_m(heights)
+        h = h + required_home_m(heights)
     return ObjectPoints(table.name, places.lat_rad, places.lon_rad, h)
 
 
