@@ -440,3 +440,10 @@ def test_a_barometer_that_drifts_faster_than_weather_is_noticed_in_a_long_flight
     assert [note.code for note in examined.notes] == ["BARO-DRIFT"]
     removed_h = examined.roles["pressure"].removed.time_ns / NS_PER_S / 3600.0
     assert 1.5 < removed_h.min() < removed_h.max() < 2.0
+
+
+def test_a_log_of_one_attitude_has_nothing_to_contradict():
+    attitude = channel("ATT", T10, "attitude", q_w=1.0, q_x=0.0, q_y=0.0, q_z=0.0)
+    roles = {"attitude": attitude}
+
+    assert examine([attitude], roles) == (roles, (), ())

@@ -141,6 +141,16 @@ def test_a_clock_that_is_off_is_a_finding_which_says_by_how_much(shift_s):
     assert float(shift[1]) == pytest.approx(abs(shift_s), rel=0.01)
 
 
+@pytest.mark.parametrize(("speed_m_s", "is_named"), [(3.0, True), (1.0, False)])
+def test_the_shift_is_that_of_places_in_motion(speed_m_s, is_named):
+    flown = columns_at(FLOWN_S * speed_m_s / SPEED_M_S)
+    position = with_columns(GPS, lon_rad=flown["lon_rad"])
+    seconds = SHOT_S[SHOT_S < 80.0]
+    logged = columns_at((seconds + 25.0) * speed_m_s / SPEED_M_S)
+    (finding,) = findings(shots(logged, seconds=seconds), {"position": position})
+    assert ("s later" in finding.what) == is_named
+
+
 def test_one_exposure_elsewhere_is_enough():
     logged = shots(columns_at(SHOT_S))
     elsewhere = logged["lat_rad"] + 100.0 / EARTH_M * (SHOT_S == 25.0)
