@@ -35,7 +35,7 @@ from unbend.flight.stations import (
 )
 from unbend.messages import Ledger, Message
 from unbend.stages import messages
-from unbend.stages.cabin_air import cabin_from_log
+from unbend.stages.cabin_air import with_logged_cabin
 from unbend.stages.exposure_events import exposure_events, read_positions
 from unbend.stages.flight_log import FlightLog, flight_log
 from unbend.stages.multi_image.image_events import assigned_stations
@@ -390,7 +390,7 @@ def with_cabins(
     """The stations with the air in the cabin, and flagged where a window's direction is unknown."""
     for name, window in mission.windows.items():
         if window.cabin is not None and mission.cameras[name].needs_cabin:
-            logged = cabin_from_log(stations, name, window.cabin, flight.channels, flight.roles)
+            logged = with_logged_cabin(stations, name, window.cabin, flight.channels, flight.roles)
             stations = ledger.take(logged)
         if window.frame == "body":
             stations = ledger.take(flag_missing_aircraft_attitude(stations, name))
