@@ -22,7 +22,7 @@ from unbend.refraction.uncertainty.sigmas import SEALED
 from unbend.refraction.window import Cabin, Window
 from unbend.simulate.optics import cameras, through_window
 from unbend.simulate.true_air import edlen_index
-from unbend.stages.cabin_air import cabin_changes, with_logged_cabin, with_cabin_air
+from unbend.stages.cabin_air import cabin_changes, with_cabin_air, with_logged_cabin
 from unbend.stages.exposure_setup import exposures_of
 from unbend.units import ZERO_CELSIUS_K
 

@@ -47,7 +47,8 @@ MAX_GAP_S = 10.0  # between samples of a barometer that is compared with the air
 BOARD_WARMER_K = 10.0
 SIGMA_BOARD_K = 6.0
 """A barometer's circuit board is 0 to 20 K warmer than the air around it, in autopilots and their
-simulator: evenly spread, standard deviation 5.8 K. `atmosphere.estimate.readings` has the same 10 K."""
+simulator: evenly spread, standard deviation 5.8 K. The 10 K are those of
+`atmosphere.estimate.readings`."""
 
 # Half the steps of central differences; the derivatives are good to 1e-4 of their values.
 _STEP_PA = 100.0

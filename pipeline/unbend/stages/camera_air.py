@@ -80,7 +80,8 @@ def lens_change_ppm(
     if not bool(rows.any()):
         return math.nan
     stated_lens = mission.lenses.get(name)
-    lens = stated_lens or TypicalLens(1.0)  # of 1 px: the change is divided by it below
+    # A typical lens of 1 px: the change is divided by the principal distance below.
+    lens = stated_lens or TypicalLens(1.0)
     in_lens = air_at_camera(stations, air, mission.windows.get(name), stated_lens, rows)
     change = lens_change(lens, in_lens.pressure_pa, in_lens.temperature_k, index_of_rows(air, rows))
     change = change[np.isfinite(change)] / lens.principal_distance_px

@@ -129,7 +129,7 @@ def prepare_mission(
             flight.air_roles,
             flight.heights,
             mission.max_gap_s,
-            flight.own_suspect,
+            flight.logged_suspect,
             flight.ground,
         )
     )
@@ -250,5 +250,5 @@ def facts_of(
         logged_terrain_m=logged_terrain(flight.channels, stations.time_ns),
         terrain=prepared.terrain,
         channels=flight.channels,
-        height=flight.own.get("height"),
+        height=flight.logged_roles.get("height"),
     )
