@@ -194,8 +194,8 @@ def series_between(
     windows: tuple[TimeWindow, ...], times_ns: Integers, heights: CameraHeights
 ) -> ProfileSeries:
     """The profiles at the times (s,) of the exposures, interpolated between parts of a flight."""
-    airs = [window.air for window in windows]
-    return interpolate_series(airs, times_ns, heights.cameras_m, heights.ground_m)
+    profiles = [window.air for window in windows]
+    return interpolate_series(profiles, times_ns, heights.cameras_m, heights.ground_m)
 
 
 def with_ageing(

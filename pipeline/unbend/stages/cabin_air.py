@@ -270,7 +270,7 @@ def with_cabin_air(
 
 
 def report_humidity(name: str, cabin: Cabin, logged: CabinAir, ok: Mask, ledger: Ledger) -> None:
-    """Report a cabin whose pressure is logged, but whose humidity is neither logged nor stated."""
+    """Report exposures with logged cabin pressure, but neither logged nor stated humidity."""
     count = int((~np.isfinite(logged.vapour_pressure_pa) & ok).sum())
     if cabin.source == "log" and not np.isfinite(cabin.relative_humidity) and count:
         ledger.add(messages.cabin_dry(where=f"camera {name}", count=count))

@@ -17,7 +17,7 @@ NOT_OUTSIDE = {"AIR-NOT-OUTSIDE": "pressure", "AIR-THERMOMETER": "temperature"}
 """Codes of losses that mean that a sensor is not outside, and the role of this sensor."""
 
 DOUBTED = {**NOT_OUTSIDE, "AIR-ISOTHERMAL": "temperature"}
-"""`NOT_OUTSIDE`, and a warning by which a sensor does not seem to measure the air outside."""
+"""`NOT_OUTSIDE`, and a warning that a sensor does not seem to measure the air outside."""
 
 
 def exchanged_sensors(
@@ -25,7 +25,7 @@ def exchanged_sensors(
 ) -> Iterator[Message]:
     """A finding for each quantity with sensors outside and in the cabin that seem exchanged.
 
-    That is if ``ledger`` has a loss by which the sensor stated as outside is not outside, and the
+    That is if ``ledger`` has a loss that the sensor stated as outside is not outside, and the
     sensor of the cabin passes all checks in its place. For these checks the air is estimated once
     more with the sensors exchanged. If a sensor of the other quantity is doubted then, its pair is
     exchanged too, and the air estimated again.

@@ -833,7 +833,7 @@ def cabin_implausible(
 
 
 def cabin_pressurised(*, where: str, count: int, camera: str, name: str, hpa: float) -> Message:
-    """A barometer reads ``hpa`` more than outside, but the cabin is stated to be at that pressure."""
+    """A barometer reads ``hpa`` more than outside, but the cabin is stated as unsealed."""
     return finding(
         CABIN_IMPLAUSIBLE,
         (
@@ -1191,7 +1191,7 @@ WINDOW_MOUNT = Code(
 def window_by_mount(*, where: str, count: int, name: str, section: str, px: float) -> Message:
     """A window is fixed to the aircraft, but the aircraft's attitude is not stated.
 
-    ``px`` is the shift of all points for one degree by which the camera is turned in the aircraft.
+    ``px`` is the shift of all points if the camera is turned by one degree in the aircraft.
     """
     return warning(
         WINDOW_MOUNT,
@@ -1440,7 +1440,7 @@ OBS_NO_IMAGE = Code(
 
 
 def image_names_missing(*, where: str, count: int, total: int, first: str) -> Message:
-    """Rows whose cell in the column of images is empty."""
+    """Rows have an empty cell in the column of images."""
     return loss(
         OBS_NO_IMAGE,
         (
@@ -1584,7 +1584,7 @@ def several_crossings(
 
 
 def cabin_pressure_missing(*, where: str, count: int, reason: str) -> Message:
-    """The log lacks the cabin pressure at some exposures; ``reason`` is the rest of the sentence."""
+    """The log lacks the cabin pressure at some exposures; ``reason`` completes the sentence."""
     return loss(
         CABIN_MISSING,
         "{count} exposures have {reason}",
@@ -1636,7 +1636,7 @@ OBS_UNIT = Code(
 def coordinates_without_pixels(
     *, where: str, percent: float, largest: float, likely: str
 ) -> InputError:
-    """Too many coordinates are negative for pixels; they are ``likely`` in another unit (mm, um)."""
+    """Too many coordinates are negative for pixels; ``likely`` is their likely unit."""
     return InputError(
         OBS_UNIT,
         (

@@ -1,4 +1,4 @@
-"""What a mission reads, opened: tables as values, and readers that wait for what the log says."""
+"""The opened inputs of a mission: tables as values, and readers that need values of the log."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field

@@ -58,7 +58,7 @@ QUANTITIES = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec"
 
 _COLUMNS = 14
 _ROWS = 10
-"""Cells over an image, for each of which the mean shift is reported."""
+"""Cells over an image; the mean shift of each is reported."""
 
 _GROUND_BINS = 24  # about as many bins has the histogram of ground heights
 _FINEST_GROUND_BIN_M = 0.1  # least width of these bins

@@ -133,7 +133,7 @@ def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -
     """(s,) the kind of window of each exposure, by the pressure behind it.
 
     * `OPEN`: no plane window before a cabin.
-    * `FOLLOWING`: an opening, whose air differs from that outside by stated amounts.
+    * `FOLLOWING`: an opening; its air differs from that outside by stated amounts.
     * `SCHEDULED`: the pressure is that of the air outside: in an unsealed cabin, and with a
       schedule below the height from which the schedule keeps the pressure constant.
     * `SEALED`: any other plane window.
