@@ -9,7 +9,7 @@ import yaml
 
 from unbend.config import Mission
 from unbend.refraction.lens_air import TypicalLens
-from unbend.stages.exposure_setup import is_aircraft_by_mount
+from unbend.stages.exposure_setup import is_aircraft_attitude_by_mount
 
 SCHEDULE = "standard_schedule"
 LENS = {
@@ -127,7 +127,7 @@ def test_where_the_attitude_of_the_aircraft_is_that_of_camera_and_mount(
     if orientation is not None:
         common = {"path": "o.csv", "frame": "geographic", "heights": "msl"}
         content["stations"] = {"orientation": common | orientation}
-    assert is_aircraft_by_mount(load(content), "nadir") is by_mount
+    assert is_aircraft_attitude_by_mount(load(content), "nadir") is by_mount
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_where_the_attitude_of_the_aircraft_is_that_of_camera_and_mount(
 def test_only_an_eo_text_states_attitudes_of_cameras(load, source, by_mount):
     content = config()
     content["events"] = {"positions": {"nadir": source | {"image": "{index}"}}}
-    assert is_aircraft_by_mount(load(content), "nadir") is by_mount
+    assert is_aircraft_attitude_by_mount(load(content), "nadir") is by_mount
 
 
 def test_a_dome_needs_cabin_air_only_for_the_lens(load, invalid):

@@ -20,7 +20,7 @@ from unbend.flight.stations import (
     unusable_station_notes,
 )
 from unbend.refraction.window import Cabin
-from unbend.stages.cabin_air import cabin_from_log
+from unbend.stages.cabin_air import with_logged_cabin
 
 AIR = standard_atmosphere("us1976")
 PA_AT_3_KM = 70_121.0  # US 1976, Table I
@@ -105,7 +105,7 @@ def test_each_reason_is_a_loss_but_unmatched_images_are_entered_elsewhere():
 
 def flag_missing_pressure(flown, camera):
     """Without the note on the temperature, which is assumed."""
-    return cabin_from_log(flown, camera, Cabin("log", temperature_k=294.0))
+    return with_logged_cabin(flown, camera, Cabin("log", temperature_k=294.0))
 
 
 @pytest.mark.parametrize("check", [flag_missing_pressure, flag_missing_aircraft_attitude])

@@ -22,7 +22,7 @@ from unbend.refraction.uncertainty.sigmas import SEALED
 from unbend.refraction.window import Cabin, Window
 from unbend.simulate.optics import cameras, through_window
 from unbend.simulate.true_air import edlen_index
-from unbend.stages.cabin_air import cabin_changes, cabin_from_log, with_cabin_air
+from unbend.stages.cabin_air import cabin_changes, with_cabin_air, with_logged_cabin
 from unbend.stages.exposure_setup import exposures_of
 from unbend.units import ZERO_CELSIUS_K
 
@@ -49,7 +49,7 @@ def filled(exposed, cabin, *, shape="plane", lenses=(), profile=US1976):
 
 def from_log(exposed, cabin, channels=(), **roles):
     """Stations with the air of the cabin as far as the log has it, and the messages."""
-    return cabin_from_log(exposed, "nadir", cabin, channels, roles)
+    return with_logged_cabin(exposed, "nadir", cabin, channels, roles)
 
 
 # ---------------------------------------------------------------- values and sigmas

@@ -102,7 +102,7 @@ def test_air_of_the_log_of_the_file_and_none():
     logged, _ = by_log.refractivity_cabin
     assert logged == pytest.approx(expected, rel=2e-3)
     assert code_of(ledger) == "CABIN-DRY"
-    # Not told by cabin_from_log, and no number all the same.
+    # Not told by with_logged_cabin, and no number all the same.
     assert by_log.usable.tolist() == [True, False]
     assert constant.refractivity_cabin.tolist() == [logged, logged]
 

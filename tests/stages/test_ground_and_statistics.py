@@ -89,8 +89,8 @@ def test_the_status_of_the_ground_goes_before_ok_and_no_ground_only():
     of_ground[1] = OK
     corrections = Corrections(*np.full((8, 5), np.nan), status=codes)
 
-    unchanged = GroundHeights(zeros, zeros).flagged(corrections)
-    flagged = GroundHeights(zeros, zeros, of_ground).flagged(corrections)
+    unchanged = GroundHeights(zeros, zeros).with_ground_status(corrections)
+    flagged = GroundHeights(zeros, zeros, of_ground).with_ground_status(corrections)
 
     assert unchanged is corrections
     assert flagged.status.tolist() == [

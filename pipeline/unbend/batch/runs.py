@@ -36,7 +36,7 @@ from unbend.stages.correction_setup import CorrectionSetup
 from unbend.stages.results import observation_metadata
 from unbend.stages.statistics import SAMPLED_ROWS, Statistics
 from unbend.stages.story import CorrectedMission, PreparedMission, correct_mission, prepare_mission
-from unbend.stages.wavelengths import in_light, require_wavelengths
+from unbend.stages.wavelengths import in_light, refuse_fixed_wavelength
 from unbend.tables.manifest.file_names import REPORT
 from unbend.tables.manifest.whole import Manifest
 
@@ -331,7 +331,7 @@ def profile_in_light(
             wavelength_m = cameras[camera].wavelength_m
     if wavelength_m is None:
         return profile, ledger
-    require_wavelengths(profile.index, "--wavelength")
+    refuse_fixed_wavelength(profile.index, "--wavelength")
     return in_light(TimedProfile(None, profile), wavelength_m).profile, ledger
 
 

@@ -34,16 +34,19 @@ from unbend.stages.air_sources import (
     AirSources,
     ModelAir,
     constant_ground_m,
-    index_of,
+    refractive_index_of,
 )
 from unbend.units import Integers
 
-LEAST_HEIGHT_M = 1.0  # of cameras above the ground, for rays that are worth an estimate
+LEAST_HEIGHT_M = 1.0  # of a camera above ground; lower flights are estimated as a whole
 
 
 @dataclass(frozen=True)
 class CameraHeights:
-    """Low, middle and high camera height, and height of the ground [m above sea level]."""
+    """Lowest, median and highest camera height, and height of the ground [m above sea level].
+
+    Without a usable station ``cameras_m`` has one height only, that of the ground.
+    """
 
     cameras_m: list[float]
     ground_m: float
@@ -52,15 +55,16 @@ class CameraHeights:
 def adjusted_profiles(
     mission: Mission, stations: Stations, samples: AirSamples, sources: AirSources, ledger: Ledger
 ) -> FlightAir:
-    """The locally adjusted profile of the flight, and how it changes with time.
+    """The locally adjusted profile of the flight, and the profile of each exposure.
 
-    With ``atmosphere.adjust: false`` it is the standard atmosphere, unchanged. Parts of a long
-    flight are estimated on their own where that lowers the uncertainty; each exposure gets a
-    profile between those of these parts, and the uncertainty grows with the age of measurements.
+    With ``atmosphere.adjust: false`` the profile is the standard atmosphere, unchanged. Parts of a
+    long flight are estimated on their own where that lowers the uncertainty; the profile of an
+    exposure is interpolated in time between those of the parts. Its uncertainty grows with the age
+    of the measurements.
     """
     section = mission.atmosphere
     latitude_rad = stations.mean_latitude_rad
-    standard = replace(standard_atmosphere(section.standard), index=index_of(section))
+    standard = replace(standard_atmosphere(section.standard), index=refractive_index_of(section))
     if section.adjust:
         adjustment = build_adjusted_profile(
             samples,
@@ -78,20 +82,23 @@ def adjusted_profiles(
         )
     else:
         ledger.add(messages.air_not_adjusted(standard=standard.name))
-        adjustment = kept_standard(standard, latitude_rad, samples, sources)
+        adjustment = unadjusted_standard(standard, latitude_rad, samples, sources)
     model = sources.model
-    if model is not None and not is_used(model, adjustment):
+    if model is not None and not is_model_used(model, adjustment):
         model = None
     heights = heights_of_mission(mission, stations, sources)
-    # A model knows the distance better than the path does: see `add_model_changes`.
+    # With a model, the sigmas grow with distance in `add_model_changes`, not by the path.
     path = sources.path if model is None else None
     return profiles_in_time(adjustment, stations, heights, model, ledger, path=path)
 
 
-def kept_standard(
+def unadjusted_standard(
     standard: Profile, latitude_rad: float, samples: AirSamples, sources: AirSources
 ) -> Adjustment:
-    """The standard atmosphere under the gravity of a latitude, and why no source changed it."""
+    """The standard atmosphere with the gravity of a latitude, as a result that used no source.
+
+    Each sample and source is listed as unused, because ``atmosphere.adjust`` is false.
+    """
     why = "atmosphere.adjust is false: the standard is kept"
     external = ExternalSources(sources.soundings, sources.surface)
     unused = no_source_used(samples, external, standard.name, why)
@@ -99,7 +106,10 @@ def kept_standard(
 
 
 def heights_of_mission(mission: Mission, stations: Stations, sources: AirSources) -> CameraHeights:
-    """The heights between which the rays of a mission run; without stations all at the ground."""
+    """Heights of the cameras and of the ground: the stated constant, else the lowest known height.
+
+    The lowest known height is `AirSources.lowest_h_m`.
+    """
     constant_m = constant_ground_m(mission)
     h_g = sources.lowest_h_m if constant_m is None else constant_m
     h_c = stations.h_msl_m[stations.ok]
@@ -108,8 +118,8 @@ def heights_of_mission(mission: Mission, stations: Stations, sources: AirSources
     return CameraHeights(np.percentile(h_c, [0, 50, 100]).tolist(), h_g)
 
 
-def is_used(model: ModelAir, adjustment: Adjustment) -> bool:
-    """Whether the column of a weather model is among what an estimate was made from."""
+def is_model_used(model: ModelAir, adjustment: Adjustment) -> bool:
+    """Whether the column of a weather model is among the sources that an estimate used."""
     return any(use.source == model.column.name and use.fit for use in adjustment.sources)
 
 
@@ -122,12 +132,11 @@ def profiles_in_time(
     *,
     path: FlightPath | None = None,
 ) -> FlightAir:
-    """The profile of each exposure at its time, and at its place where a ``model`` knows it.
+    """The profile of each exposure for its time, and with a weather ``model`` also for its place.
 
-    Without a model its sigma grows with the distance on the ``path`` of the flight.
-
-    Exposures without a time, and images without an exposure, get the profile of the middle
-    exposure.
+    Without a model, sigmas grow with the distance between the samples and the exposure, if the
+    ``path`` of the flight is given. Exposures without a time, and images without an exposure, get
+    the profile of the middle exposure.
     """
     windows = windows_of_flight(adjustment, heights, model, ledger)
     whole_flight = TimedProfile(
@@ -152,7 +161,7 @@ def profiles_in_time(
             series = with_model_changes(
                 series, model, stations, times_ns, heights, is_measured=is_measured, ledger=ledger
             )
-        if not windows:  # one covariance is reported: that of the middle exposure, with its age
+        if not windows:  # the reported covariance is that of the middle exposure, with its age
             middle = int(np.argmin(np.abs(times_ns - middle_ns)))
             adjustment = with_covariance_of(adjustment, series, middle)
     effects = effects_on_r(
@@ -168,7 +177,10 @@ def profiles_in_time(
 def windows_of_flight(
     adjustment: Adjustment, heights: CameraHeights, model: ModelAir | None, ledger: Ledger
 ) -> tuple[TimeWindow, ...]:
-    """The parts of a flight that are estimated on their own; none without cameras above ground."""
+    """The parts of a flight that are estimated on their own.
+
+    Empty if one estimate is enough, or if no camera is 1 m above the ground.
+    """
     is_above_ground = max(heights.cameras_m) > heights.ground_m + LEAST_HEIGHT_M
     if not is_above_ground:
         return ()
@@ -181,9 +193,9 @@ def windows_of_flight(
 def series_between(
     windows: tuple[TimeWindow, ...], times_ns: Integers, heights: CameraHeights
 ) -> ProfileSeries:
-    """The profiles at the times (s,) of the exposures, between those of the parts of a flight."""
-    airs = [window.air for window in windows]
-    return interpolate_series(airs, times_ns, heights.cameras_m, heights.ground_m)
+    """The profiles at the times (s,) of the exposures, interpolated between parts of a flight."""
+    profiles = [window.air for window in windows]
+    return interpolate_series(profiles, times_ns, heights.cameras_m, heights.ground_m)
 
 
 def with_ageing(
@@ -195,9 +207,10 @@ def with_ageing(
     path: FlightPath | None,
     ledger: Ledger,
 ) -> ProfileSeries:
-    """The profiles with their sigmas at times (s,), which may be long after the samples.
+    """The profiles with sigmas that grow with the time between samples and exposures.
 
-    With a ``path`` also at the places of the exposures, which may be far from the samples.
+    ``times_ns`` (s,) are those of the exposures. With a ``path`` of the flight, sigmas also grow
+    with the distance between the places of the samples and of the exposures.
     """
     aged = add_ageing(
         series,
@@ -220,10 +233,10 @@ def with_model_changes(
     is_measured: bool,
     ledger: Ledger,
 ) -> ProfileSeries:
-    """The profiles with the changes of a weather model along the flight.
+    """The profiles changed as the air of a weather model changes in time and place of exposures.
 
-    ``times_ns`` (s,) are those of the exposures; ``is_measured`` says whether the profiles come
-    from measurements with a time.
+    ``times_ns`` (s,) are those of the exposures; ``is_measured`` is True if the profiles come from
+    measurements with a time.
     """
     latitude_rad = np.where(stations.ok, stations.lat_rad, np.nan)
     longitude_rad = longitudes_near(stations.lon_rad, model.place.longitude_rad)
@@ -242,7 +255,10 @@ def with_model_changes(
 
 
 def with_covariance_of(adjustment: Adjustment, series: ProfileSeries, station: int) -> Adjustment:
-    """The estimate with the covariance of the profile at a station, which is reported for all."""
+    """The estimate with the covariance of one station's profile, which reports give for all.
+
+    ``station`` is a row of the stations.
+    """
     number = series.profile_number[station]
     covariance = series.timed_profiles[number].covariance
     if covariance is not None:
@@ -251,6 +267,9 @@ def with_covariance_of(adjustment: Adjustment, series: ProfileSeries, station: i
 
 
 def window_of_model(window: TimeWindow, model: ModelAir, adjustment: Adjustment) -> TimeWindow:
-    """A part of a flight with the place where it met its air, from which a model changes it."""
+    """A part of a flight with the place and time at which its air was sampled.
+
+    The changes of a weather model count from there.
+    """
     place = model.place_of(adjustment.samples, window)
     return replace(window, air=replace(window.air, sampled_at=place))

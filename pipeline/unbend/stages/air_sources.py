@@ -1,4 +1,4 @@
-"""What a mission has of the air beside its log: soundings, reports, a weather model; checked."""
+"""Sources of the air in addition to the log: soundings, surface reports, a weather model."""
 
 import math
 from collections.abc import Mapping
@@ -38,32 +38,26 @@ from unbend.stages.flight_log import FlightLog, GroundTrack
 from unbend.stages.neighbour_zone import system_of_stations, zone_findings
 from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.model_fields import FlightArea
-from unbend.units import (
-    DEGREE,
-    HECTOPASCAL,
-    ZERO_CELSIUS_K,
-    Array,
-    Integers,
-    Mask,
-)
+from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers, Mask
 
-BIN_M = 100.0  # of heights: a climb counts more than a long level run
-LIKELY_SIGMAS = 2.0  # that a value in another unit, or reduced, may be off
-FAHRENHEIT_SIGMAS = 2.5  # too warm by so much, in Fahrenheit right: it is Fahrenheit
-IMPOSSIBLE_SIGMAS = 4.0  # of a temperature: real soundings stay in 2.9
-QNH_SIGMAS = 3.0  # too high by so much, as QNH right: it is reduced to sea level
-IMPOSSIBLE_PRESSURE_SIGMAS = 5.0  # weather stays in 5
-ALWAYS_NS = 2**62  # before and after all times
-UNPLACED_STATION_KM = 100.0  # of a station whose distance is not stated, as of a sounding
+BIN_M = 100.0  # height of the bins of samples: a climb counts more than a long level run
+# Departures from the climatology, in its sigmas.
+LIKELY_SIGMAS = 2.0  # a value read as Fahrenheit, or as QNH, is likely within this
+FAHRENHEIT_SIGMAS = 2.5  # warmer by more, but likely as Fahrenheit: taken for Fahrenheit
+IMPOSSIBLE_SIGMAS = 4.0  # of a temperature: real soundings stay within 2.9
+QNH_SIGMAS = 3.0  # higher pressure by more, but likely as QNH: taken for QNH
+IMPOSSIBLE_PRESSURE_SIGMAS = 5.0  # weather stays within 5
+ALWAYS_NS = 2**62  # -ALWAYS_NS and ALWAYS_NS are before and after all times
+UNPLACED_STATION_KM = 100.0  # assumed distance of a weather station, if none is stated
 
 
 @dataclass(frozen=True, eq=False)
 class ModelAir:
-    """A weather model about a flight.
+    """The part of a weather model that surrounds a flight.
 
-    place : where and when the flight met the air that it measured.
-    column : the air of the model there.
-    track : where the flight was.
+    place : mean place and time at which the flight sampled the air.
+    column : the profile of the model there.
+    track : positions of the flight as logged; None without any.
     """
 
     field: ModelField
@@ -72,9 +66,9 @@ class ModelAir:
     track: GroundTrack | None
 
     def place_of(self, samples: AirSamples | None, window: TimeWindow) -> PlaceInTime:
-        """Where and when a part of the flight met the air from which its profile is estimated.
+        """Where and when the air of a part of the flight was sampled.
 
-        A part without an estimate of its own has the air, and the place, of the whole flight.
+        A part without its own estimate (``why_not``) has the air and the place of the whole flight.
         """
         if samples is None or window.why_not:
             return self.place
@@ -91,10 +85,10 @@ def read_model_air(
     middle: TimeAndPlace,
     ledger: Ledger,
 ) -> ModelAir | None:
-    """The weather model of a mission; None where the mission names none.
+    """The weather model of a mission; None if the mission names none.
 
-    ``middle`` is the middle of the flight. Refuses (`InputError`) a flight without a time or place,
-    and stations outside the area of the model.
+    ``middle`` is time and place of the middle of the flight. Refuses (`InputError`) a flight
+    without a time or place, and stations outside the area of the model.
     """
     model = inputs.weather_model
     if model is None:
@@ -105,8 +99,8 @@ def read_model_air(
     place = sampled_place(samples, flight.track)
     if place is None:
         place = PlaceInTime(middle.latitude_rad, middle.longitude_rad, middle.time_ns)
-    placed = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
-    area = area_of_flight(stations, placed, place)
+    has_position = stations.ok & np.isfinite(stations.lat_rad + stations.lon_rad)
+    area = area_of_flight(stations, has_position, place)
     field = model.read(area, ledger)
     field.refuse_outside(area.latitude_rad, area.longitude_rad)
 
@@ -115,7 +109,7 @@ def read_model_air(
         ground_m = flight.heights.home_h_msl_m
     if ground_m is None:
         ground_m = math.nan
-    highest_m = float(stations.h_msl_m[placed].max(initial=0.0))
+    highest_m = float(stations.h_msl_m[has_position].max(initial=0.0))
     column = ledger.take(model_column(field, place, ground_h_m=ground_m, highest_h_m=highest_m))
     ledger.add(
         messages.model_column(
@@ -128,21 +122,21 @@ def read_model_air(
             hours=TimeAndPlace(place.time_ns).hours_from(column.time_ns),
         )
     )
-    # It is the air where the flight met it: no distance adds to its errors.
+    # The column is where the air was sampled: placed there, no distance adds to its errors.
     column = replace(column, latitude_rad=middle.latitude_rad, longitude_rad=middle.longitude_rad)
     return ModelAir(field, column, place, flight.track)
 
 
-def area_of_flight(stations: Stations, placed: Mask, place: PlaceInTime) -> FlightArea:
-    """The area of the ``placed`` stations (a mask), and of the place where they met their air.
+def area_of_flight(stations: Stations, has_position: Mask, place: PlaceInTime) -> FlightArea:
+    """Places and times of the stations in a mask, and of the ``place`` where the air was sampled.
 
-    Stations without a time have that of the place.
+    Stations without a time get the time of ``place``.
     """
-    times_ns = stations.time_ns[placed]
+    times_ns = stations.time_ns[has_position]
     times_ns = np.where(times_ns == NO_TIME, place.time_ns, times_ns)
-    longitudes_rad = np.append(stations.lon_rad[placed], place.longitude_rad)
+    longitudes_rad = np.append(stations.lon_rad[has_position], place.longitude_rad)
     return FlightArea(
-        np.append(stations.lat_rad[placed], place.latitude_rad),
+        np.append(stations.lat_rad[has_position], place.latitude_rad),
         longitudes_near(longitudes_rad, place.longitude_rad),
         np.append(times_ns, place.time_ns),
     )
@@ -154,28 +148,28 @@ def sampled_place(
     start_ns: int = -ALWAYS_NS,
     end_ns: int = ALWAYS_NS,
 ) -> PlaceInTime | None:
-    """Where and when a flight met the air that it measured between two times.
+    """Mean place and time of the samples of the air between two times [Unix ns].
 
-    That is the mean over heights in bins of 100 m: a climb counts more than a long level run. None
-    if no air was measured then, or the flight has no positions.
+    The mean of each bin of 100 m of height counts once: a climb counts more than a long level run.
+    None if no sample was used between the times, or the flight has no positions.
     """
     if track is None:
         return None
     is_known = np.isfinite(track.latitude_rad + track.longitude_rad)
-    used = used_samples(samples, start_ns, end_ns)
-    if used is None or not bool(is_known.any()):
+    accepted = accepted_samples(samples, start_ns, end_ns)
+    if accepted is None or not bool(is_known.any()):
         return None
     # Seconds from the beginning of the flight: interpolation would round nanoseconds of Unix time.
     first_ns = int(track.time_ns[0])
-    sample_s = (used.time_ns - first_ns) * 1e-9
+    sample_s = (accepted.time_ns - first_ns) * 1e-9
     track_s = (track.time_ns[is_known] - first_ns) * 1e-9
     latitude_rad = track.latitude_rad[is_known]
     longitude_rad = track.longitude_rad[is_known]
     longitude_rad = longitudes_near(longitude_rad, float(longitude_rad[0]))
-    _, bin_number = np.unique(np.floor(used.h_m / BIN_M), return_inverse=True)
+    _, bin_number = np.unique(np.floor(accepted.h_m / BIN_M), return_inverse=True)
     bin_count = np.bincount(bin_number)
 
-    def mean_of_bins(values: NDArray[np.floating[Any]]) -> float:
+    def mean_of_bins(values: NDArray[np.floating[Any]]) -> float:  # values of the samples
         return float(np.mean(np.bincount(bin_number, values) / bin_count))
 
     return PlaceInTime(
@@ -186,14 +180,14 @@ def sampled_place(
 
 
 class AcceptedSamples(NamedTuple):
-    """Times [Unix ns] and heights [m] of the samples of a sensor that are used, (n,)."""
+    """Times [Unix ns] and heights [m above sea level] of the accepted samples of a sensor, (n,)."""
 
     time_ns: Integers
     h_m: Array
 
 
-def used_samples(samples: AirSamples, start_ns: int, end_ns: int) -> AcceptedSamples | None:
-    """The used samples of the thermometer between two times, else of the barometer; or None."""
+def accepted_samples(samples: AirSamples, start_ns: int, end_ns: int) -> AcceptedSamples | None:
+    """Accepted samples of the thermometer between two times; without any, of the barometer."""
     for sensor in (samples.temperature, samples.pressure):
         if sensor is None:
             continue
@@ -211,10 +205,10 @@ def read_report(
     background: Climatology,
     ledger: Ledger,
 ) -> SurfaceReport:
-    """The report of a weather station, from its METAR or from numbers.
+    """The report of a weather station, from its METAR or from stated values.
 
-    Refuses (``InputError``) values that the climatology of place and season rules out, such as a
-    temperature in Fahrenheit or a pressure reduced to sea level.
+    ``where`` is its key, for messages; ``flight_ns`` completes the date of a METAR. Refuses
+    (``InputError``) values that the climatology of place and season (``background``) rules out.
     """
     if section.metar is not None:
         report = surface_report.parse_metar(
@@ -243,9 +237,9 @@ def read_report(
 def refuse_impossible_temperature(
     report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
 ) -> None:
-    """Refuse a temperature that no season has, or that only as degrees Fahrenheit is usual.
+    """Refuse a temperature far from the climatology, or one that fits only as Fahrenheit.
 
-    A METAR is never in Fahrenheit.
+    ``of_metar`` is True for the temperature of a METAR, which is in Celsius.
     """
     celsius = report.temperature_k - ZERO_CELSIUS_K
     celsius_if_fahrenheit = (celsius - 32.0) / 1.8
@@ -272,33 +266,35 @@ def refuse_impossible_temperature(
 def refuse_impossible_pressure(
     report: SurfaceReport, background: Climatology, where: str, *, of_metar: bool
 ) -> None:
-    """Refuse a pressure that no weather has, or that is usual if it was reduced to sea level.
+    """Refuse a pressure far from the climatology, or one that fits only as QNH.
 
-    The pressure of a METAR is, and has been converted.
+    QNH is pressure reduced to sea level. ``of_metar`` is True for the pressure of a METAR: it is
+    QNH, but was already converted to the height of the station.
     """
     if not math.isfinite(report.pressure_pa):
         return
     expected_pa = float(background.profile.pressure(report.h_m))
     sigma = background.sigma_log_pressure(report.h_m)
     departure = math.log(report.pressure_pa / expected_pa) / sigma
-    reduced_pa = surface_report.station_pressure(report.pressure_pa, report.h_m)
-    as_qnh = math.log(reduced_pa / expected_pa) / sigma
-    mistaken = departure > QNH_SIGMAS and abs(as_qnh) < LIKELY_SIGMAS and not of_metar
-    if mistaken or abs(departure) > IMPOSSIBLE_PRESSURE_SIGMAS:
-        rather = f"; as QNH it would be {reduced_pa / HECTOPASCAL:.1f} hPa there"
+    pressure_if_qnh_pa = surface_report.station_pressure(report.pressure_pa, report.h_m)
+    departure_if_qnh = math.log(pressure_if_qnh_pa / expected_pa) / sigma
+    is_usual_if_qnh = abs(departure_if_qnh) < LIKELY_SIGMAS
+    looks_like_qnh = departure > QNH_SIGMAS and is_usual_if_qnh and not of_metar
+    if looks_like_qnh or abs(departure) > IMPOSSIBLE_PRESSURE_SIGMAS:
+        hint = f"; as QNH it would be {pressure_if_qnh_pa / HECTOPASCAL:.1f} hPa there"
         raise messages.surface_pressure_unlikely(
             where=where,
             hpa=report.pressure_pa / HECTOPASCAL,
             height_m=report.h_m,
             sigmas=abs(departure),
             expected_hpa=expected_pa / HECTOPASCAL,
-            rather=rather if mistaken else "",
+            rather=hint if looks_like_qnh else "",
         )
 
 
 @dataclass(frozen=True, eq=False)
 class AirSources:
-    """What a mission has of the air beside its log.
+    """Sources of the air in addition to the log.
 
     time_ns, longitude_rad : the middle of the flight; its time is None where neither the log nor
         the mission file has it.
@@ -306,8 +302,8 @@ class AirSources:
     doubt_of_time : why the stated date may be wrong, in words; empty if nothing contradicts it.
     lowest_h_m : the lowest height at which the log sampled the air, else that of the take-off,
         else 0 [m above sea level].
-    path : where the flight was.
-    calibration : the known errors of sensors.
+    path : positions of the flight as logged; None without any.
+    calibration : stated mean and sigma of the errors of sensors.
     """
 
     background: Climatology
@@ -333,7 +329,7 @@ class AirSources:
 
 
 def line_of_sounding(sounding: Sounding) -> tuple[str, str]:
-    """The label of a sounding, and its station, time and levels."""
+    """The label of a sounding, and its station, time, levels and origin in words."""
     time = ""
     if sounding.time_ns is not None:
         time = f" of {np.datetime64(sounding.time_ns, 'ns').astype('datetime64[m]')} UTC"
@@ -343,7 +339,7 @@ def line_of_sounding(sounding: Sounding) -> tuple[str, str]:
 
 
 def line_of_report(report: SurfaceReport) -> tuple[str, str]:
-    """The label of a surface report, and its values."""
+    """The label of a surface report, and its origin, height and known values in words."""
     values = {
         "{:.1f} C": report.temperature_k - ZERO_CELSIUS_K,
         "{:.1f} hPa": report.pressure_pa / HECTOPASCAL,
@@ -385,7 +381,7 @@ def read_air_sources(
         section.climatology,
         latitude_rad=latitude,
         month=month_of(flight_ns),
-        index=index_of(section),
+        index=refractive_index_of(section),
         ground_h_m=lowest_h_m,
         longitude_rad=0.0 if math.isnan(longitude) else longitude,
         hour=flight_hour(mission, stations, flight_ns),
@@ -438,22 +434,22 @@ def read_soundings(
     latitude_rad: float,
     ledger: Ledger,
 ) -> list[Sounding]:
-    """The soundings of a mission, those of several launches nearest in time to the flight."""
+    """The soundings of a mission; from a file of several launches, the nearest in time."""
     soundings = []
-    for read, of_file in zip(inputs.soundings, section.soundings, strict=True):
-        stated_m = of_file.station_h_msl_m
+    for read, stated in zip(inputs.soundings, section.soundings, strict=True):
+        stated_m = stated.station_h_msl_m
         sounding = read(
             ledger,
             time_ns=flight_ns,
             latitude_rad=latitude_rad,
             station_h_m=math.nan if stated_m is None else stated_m,
         )
-        soundings.append(replace(sounding, across=of_file.across_coast_or_ridge))
+        soundings.append(replace(sounding, across=stated.across_coast_or_ridge))
     return soundings
 
 
 def report_unused(sources: AirSources, ledger: Ledger) -> None:
-    """A warning of sources that are named, where the air is not adjusted."""
+    """Warn that the named sources are not used, because ``atmosphere.adjust`` is false."""
     if sources.soundings or sources.surface or sources.calibration:
         ledger.add(
             messages.air_sources_unused(
@@ -466,7 +462,7 @@ def report_unused(sources: AirSources, ledger: Ledger) -> None:
 
 
 def flight_path(track: GroundTrack | None) -> FlightPath | None:
-    """The known positions of a track; None where there are none."""
+    """The known positions of a track, with longitudes that do not jump; None without any."""
     if track is None:
         return None
     is_known = np.isfinite(track.latitude_rad + track.longitude_rad)
@@ -478,7 +474,10 @@ def flight_path(track: GroundTrack | None) -> FlightPath | None:
 
 
 def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:
-    """The lowest height at which the air was sampled [m above sea level], else the take-off's."""
+    """The lowest height of the samples of the air [m above sea level].
+
+    Without samples it is ``home_h_msl_m``, the height of the take-off, and 0 if that is None.
+    """
     lowest = []
     for sensor in (samples.pressure, samples.temperature, samples.humidity):
         if sensor is None:
@@ -489,11 +488,11 @@ def lowest_sample_m(samples: AirSamples, home_h_msl_m: float | None) -> float:
     return min(lowest, default=home_h_msl_m or 0.0)
 
 
-def index_of(section: AtmosphereSection) -> IndexModel:
-    """The refractive index of air that a mission file states."""
+def refractive_index_of(section: AtmosphereSection) -> IndexModel:
+    """The formula of the refractive index of air that a mission file states."""
     return IndexModel(section.index, section.wavelength_m, section.co2_ppm)
 
 
 def constant_ground_m(mission: Mission) -> float | None:
-    """The height of the ground above sea level [m] that a mission file states for all points."""
+    """The constant height of the ground above sea level [m], None if the mission states none."""
     return mission.ground.constant_m if mission.ground.reference == "msl" else None

@@ -1,6 +1,6 @@
-"""The air in the compartment of a camera at each exposure: its values, its sigmas, what is missing.
+"""The air in the compartment of a camera at each exposure: values, sigmas, and what is missing.
 
-Only its pressure has to be known: without a thermometer a pressurised cabin is near 21 degC.
+Only the pressure has to be known. Without a thermometer the temperature is assumed: 21 degC.
 """
 
 from collections.abc import Container, Iterable, Mapping
@@ -39,23 +39,24 @@ from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K, Array, Mask
 USUAL_TEMPERATURE_K = 294.15  # 21 degC
 SIGMA_PRESSURISED_K = 5.0  # of the usual temperature, in cabins with pressurisation
 SIGMA_AMBIENT_K = 10.0  # of the usual temperature, in cabins without pressurisation
-PRESSURISED_PA = 20.0 * HECTOPASCAL  # a cabin with so much more than the air outside is pressurised
-THIN_PA = 0.5 * PRESSURISED_PA  # no cabin has so much less pressure than the air outside
-ODD_SIGMAS = 4.0  # no cabin's temperature is so many sigmas away from the usual one
+PRESSURISED_PA = 20.0 * HECTOPASCAL  # above the air outside: a cabin with more is pressurised
+THIN_PA = 0.5 * PRESSURISED_PA  # below the air outside: no cabin has so little pressure
+ODD_SIGMAS = 4.0  # of the usual temperature: no cabin is farther away from it
 MAX_GAP_S = 10.0  # between samples of a barometer that is compared with the air outside
 
 BOARD_WARMER_K = 10.0
 SIGMA_BOARD_K = 6.0
-"""A barometer's board against the air about it: 0 to 20 K warmer in autopilots and their simulator,
-evenly spread (standard deviation 5.8 K); the same 10 K as `atmosphere.estimate.readings` has."""
+"""A barometer's circuit board is 0 to 20 K warmer than the air around it, in autopilots and their
+simulator: evenly spread, standard deviation 5.8 K. The 10 K are those of
+`atmosphere.estimate.readings`."""
 
-# Half the steps of the central differences, which are good to 1e-4 of the derivatives.
+# Half the steps of central differences; the derivatives are good to 1e-4 of their values.
 _STEP_PA = 100.0
 _STEP_K = 1.0
 
 
 class CabinAir(NamedTuple):
-    """The air in a cabin, (m,): pressure [Pa], temperature [K], vapour pressure [Pa], sigmas."""
+    """The air in a cabin, (m,): pressure, vapour pressure [Pa], temperature [K], and two sigmas."""
 
     pressure_pa: Array
     temperature_k: Array
@@ -72,25 +73,26 @@ class OutsideAir(NamedTuple):
     vapour_pressure_pa: Array
 
 
-def cabin_from_log(
+def with_logged_cabin(
     stations: Stations,
     camera: str,
     cabin: Cabin,
     channels: Iterable[Channel] = (),
     roles: Mapping[str, Channel] | None = None,
 ) -> tuple[Stations, Notes]:
-    """The stations with the logged air in the cabin of a camera, and notes on what the log lacks.
+    """The stations with the logged air of a camera's cabin checked, and notes on what is missing.
 
-    Pressure, by the source that the mission file states:
+    ``channels`` are those of the log, ``roles`` the channel of each role. Pressure, by the source
+    that the mission file states:
 
     * log: exposures without a pressure become suspect (CABIN-MISSING);
     * ambient, the air outside: a barometer of the log that reads much more is reported;
-    * constant or standard_schedule: the log is not asked.
+    * constant or standard_schedule: the log is not used.
 
     Temperature, unless mission file or schedule states it:
 
-    * a note counts the exposures without a logged temperature; `air_in` gives them the usual one;
-    * the temperature of a circuit board is made that of the air.
+    * a note counts the exposures without a logged temperature; `air_in_cabin` assumes one later;
+    * the temperature of a circuit board is converted to that of the air.
     """
     roles = roles or {}
     channels = tuple(channels)
@@ -99,7 +101,7 @@ def cabin_from_log(
         candidates = candidates_for_cabin("pressure", channels, roles)
         stations, losses = suspect_without_pressure(stations, camera, candidates)
         notes += losses
-    of_camera = (stations.camera == camera) & stations.ok  # without those that are suspect now
+    of_camera = (stations.camera == camera) & stations.ok  # those just made suspect are not ok
     if cabin.source == "ambient":
         notes += barometer_in_cabin(stations, of_camera, camera, channels, roles)
 
@@ -126,9 +128,10 @@ def cabin_from_log(
 def with_air_of_board(
     stations: Stations, camera: str, thermometer: str
 ) -> tuple[Stations, Message]:
-    """The stations of a camera with `BOARD_WARMER_K` taken off the temperature of a circuit board.
+    """The stations with `BOARD_WARMER_K` subtracted from a camera's cabin temperatures, and a note.
 
-    ``thermometer`` is the name of the channel, for the note.
+    The logged temperatures are those of a circuit board. ``thermometer`` is the name of their
+    channel, for the note.
     """
     rows = (stations.camera == camera) & np.isfinite(stations.cabin_temperature_k)
     note = messages.cabin_board(
@@ -149,10 +152,11 @@ def with_air_of_board(
 def suspect_without_pressure(
     stations: Stations, camera: str, candidates: str
 ) -> tuple[Stations, list[Message]]:
-    """The stations, those of a camera as suspect at which the pressure in its cabin is unknown.
+    """The stations, with those of a camera that have no cabin pressure marked as suspect.
 
-    Returned with them is the loss that counts these, if there are any. ``candidates`` says in words
-    which channels of the log could have the pressure.
+    The list has the loss that counts them; it is empty if none is marked. ``candidates`` is the
+    text of `candidates_for_cabin`. Marked stations are not used, and how far off they are is
+    unknown (NaN).
     """
     missing = np.isnan(stations.cabin_pressure_pa) & (stations.camera == camera) & stations.ok
     count = int(missing.sum())
@@ -168,7 +172,8 @@ def candidates_for_cabin(
 ) -> str:
     """Which channels of the log could give a quantity of the air in a cabin, in words.
 
-    ``quantity`` is pressure or temperature, which is also the role of the air outside.
+    ``quantity`` is "pressure" or "temperature"; ``roles`` has the sensor outside under the same
+    name. The sensor outside is not a candidate.
     """
     outside = roles.get(quantity)
     names = []
@@ -191,9 +196,10 @@ def barometer_in_cabin(
     channels: Iterable[Channel],
     roles: Mapping[str, Channel],
 ) -> list[Message]:
-    """A finding of the first barometer of the log that reads far more than the air outside has.
+    """A list with a finding, if a barometer of the log reads far more than the air outside.
 
-    The list is empty without such a barometer, or if the log gives no pressure of the air outside.
+    Compared is the median over the stations in the mask ``of_camera``; the first such barometer is
+    reported. The list is empty without one, or if the log has no pressure of the air outside.
     """
     outside = roles.get("pressure")
     if outside is None:
@@ -224,11 +230,11 @@ def with_cabin_air(
     profile: Profile | ProfileSeries,
     ledger: Ledger,
 ) -> Stations:
-    """Stations with the air in the cabins, and its sigmas (NaN for numbers that have none).
+    """The stations with complete air in the cabins, and its sigmas (NaN if unknown).
 
-    The air in a cabin counts if the window is plane, because the window then bends the rays, and
-    behind any window if the camera is among ``lenses``, whose principal distance depends on it.
-    Other stations keep what the log says.
+    Cabins are completed behind plane windows, which bend rays, and behind any window of the cameras
+    in ``lenses``, because their principal distance depends on the air. The cabins of other cameras
+    keep the logged values. ``profile`` is the air outside.
     """
     columns = CabinAir(  # copies, which are filled camera by camera
         pressure_pa=stations.cabin_pressure_pa.copy(),
@@ -246,7 +252,7 @@ def with_cabin_air(
         rows = stations.camera == name
         logged = CabinAir(*(column[rows] for column in columns))
         ambient = OutsideAir(*(values[rows] for values in outside))
-        air = air_in(cabin, logged, ambient)
+        air = air_in_cabin(cabin, logged, ambient)
         for column, values in zip(columns, air, strict=True):
             column[rows] = values
         report_humidity(name, cabin, logged, stations.ok[rows], ledger)
@@ -264,14 +270,14 @@ def with_cabin_air(
 
 
 def report_humidity(name: str, cabin: Cabin, logged: CabinAir, ok: Mask, ledger: Ledger) -> None:
-    """Report a cabin whose pressure is logged, but whose humidity is neither logged nor stated."""
+    """Report exposures with logged cabin pressure, but neither logged nor stated humidity."""
     count = int((~np.isfinite(logged.vapour_pressure_pa) & ok).sum())
     if cabin.source == "log" and not np.isfinite(cabin.relative_humidity) and count:
         ledger.add(messages.cabin_dry(where=f"camera {name}", count=count))
 
 
 def report_schedule(name: str, cabin: Cabin, h_m: Array, ok: Mask, ledger: Ledger) -> None:
-    """Report a cabin whose air is that of the schedule, and exposures above its highest height."""
+    """Report a cabin with scheduled air, and exposures above the height where the schedule ends."""
     if cabin.source != "standard_schedule":
         return
     where = f"cameras.{name}.window.cabin"
@@ -286,7 +292,7 @@ def report_implausible(
     name: str, air: CabinAir, outside: OutsideAir, ok: Mask, ledger: Ledger
 ) -> None:
     """Warn of a pressure well below that outside, and of a temperature far from the usual one."""
-    sigma_k = usual_sigma(air.pressure_pa, outside.pressure_pa)
+    sigma_k = sigma_of_usual_temperature(air.pressure_pa, outside.pressure_pa)
     with np.errstate(invalid="ignore"):
         thin = ok & (outside.pressure_pa - air.pressure_pa > THIN_PA)
         odd = ok & (np.abs(air.temperature_k - USUAL_TEMPERATURE_K) > ODD_SIGMAS * sigma_k)
@@ -310,17 +316,17 @@ def report_implausible(
         )
 
 
-def usual_sigma(pressure_pa: Array, outside_pa: Array) -> Array:
-    """(m,) standard deviation [K] of a cabin's temperature about 21 degC.
+def sigma_of_usual_temperature(pressure_pa: Array, outside_pa: Array) -> Array:
+    """(m,) standard deviation [K] of cabin temperatures about the usual 21 degC.
 
-    It is smaller in a pressurised cabin, whose pressure is well above that of the air outside.
+    It is smaller in a pressurised cabin: its pressure is well above that outside (``outside_pa``).
     """
     pressurised = pressure_pa - outside_pa > PRESSURISED_PA
     return np.where(pressurised, SIGMA_PRESSURISED_K, SIGMA_AMBIENT_K)
 
 
 def first_known(*values: ArrayLike) -> Array:
-    """Element by element the first of several numbers or arrays that is known; NaN without any."""
+    """Element by element the first of several numbers or arrays that is finite; else NaN."""
     first, *later_values = (np.asarray(value, np.float64) for value in values)
     result = first
     for other in later_values:
@@ -328,21 +334,21 @@ def first_known(*values: ArrayLike) -> Array:
     return result
 
 
-def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
-    """The air in a cabin: its pressure by the source that is stated, the rest by what is known.
+def air_in_cabin(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
+    """The air in a cabin, each quantity from the first source below that has it.
 
-    * Temperature: the stated one; else with a schedule that of the schedule, otherwise the logged
-      one; else 21 degC.
-    * Humidity: the stated one; else with a schedule none, otherwise the logged one; else that of
-      the air outside if the cabin has that air; else none.
-    * Sigmas: the stated ones; else those of the sensors, or of the usual temperature. A temperature
-      that is stated without a sigma has none (NaN).
+    * Pressure: the source that is stated.
+    * Temperature: stated; with a schedule that of the schedule, else logged; 21 degC.
+    * Humidity: stated; with a schedule dry, else logged; with the source ambient that of the air
+      outside; dry.
+    * Sigmas: stated; of the sensors if they measured the quantity; of the usual temperature. A
+      temperature that is stated without a sigma has the sigma NaN.
 
-    The air in an opening is by `air_in_opening`.
+    An opening has the air of `air_in_opening`.
     """
     if cabin.source == "opening":
         return air_in_opening(cabin, outside)
-    blank = np.full(logged.pressure_pa.shape, np.nan)  # makes a column of a number in first_known
+    blank = np.full(logged.pressure_pa.shape, np.nan)  # gives results of first_known the shape (m,)
     is_scheduled = cabin.source == "standard_schedule"
     temperature_if_unstated = logged.temperature_k
     vapour_if_unstated = logged.vapour_pressure_pa
@@ -366,7 +372,7 @@ def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
     else:
         is_measured = np.isfinite(temperature_if_unstated) & (not is_scheduled)
         of_thermometer = first_known(logged.sigma_temperature_k, SIGMA_THERMOMETER_K)
-        assumed = usual_sigma(pressure, outside.pressure_pa)
+        assumed = sigma_of_usual_temperature(pressure, outside.pressure_pa)
         sigma_t = np.where(is_measured, of_thermometer, assumed)
 
     vapour_stated = vapour_pressure(cabin.relative_humidity, temperature, pressure)
@@ -381,17 +387,18 @@ def air_in(cabin: Cabin, logged: CabinAir, outside: OutsideAir) -> CabinAir:
 
 
 def air_in_opening(opening: Cabin, outside: OutsideAir) -> CabinAir:
-    """The air before a lens in an opening: that outside, warmer and under another pressure.
+    """The air before a lens in an opening: that outside, plus stated differences.
 
-    Its share of vapour is that outside. The sigmas are those of the differences: an error of the
-    air outside is one of this air too, and bends nothing here.
+    The ratio of vapour pressure to pressure is that outside. The sigmas are those of the
+    differences only: an error of the air outside is the same on both sides of the opening, so it
+    does not bend rays there.
     """
     pressure = outside.pressure_pa + opening.excess_pa
-    share = pressure / outside.pressure_pa
+    pressure_ratio = pressure / outside.pressure_pa
     return CabinAir(
         pressure_pa=pressure,
         temperature_k=outside.temperature_k + opening.warmer_k,
-        vapour_pressure_pa=outside.vapour_pressure_pa * share,
+        vapour_pressure_pa=outside.vapour_pressure_pa * pressure_ratio,
         sigma_pressure_pa=np.full(pressure.shape, opening.sigma_pressure_pa),
         sigma_temperature_k=np.full(pressure.shape, opening.sigma_temperature_k),
     )
@@ -400,20 +407,18 @@ def air_in_opening(opening: Cabin, outside: OutsideAir) -> CabinAir:
 def cabin_changes(
     stations: Stations, lenses: Mapping[str, AnyLens], air: Profile | ProfileSeries
 ) -> Array:
-    """(s, 4) what one sigma of the pressure and of the temperature in a cabin change.
+    """(s, 4) effects of one sigma of the pressure and of the temperature in a cabin.
 
-    The columns are the change of the refractivity in the cabin by the pressure and by the
-    temperature, then the change of the principal distance [px] by the pressure and by the
-    temperature, which is 0 for cameras that are not among the ``lenses``. NaN where neither
-    pressure nor temperature has a sigma; if one has, the unknown other sigma counts as 0. ``air``
-    is that outside, with the formula of the index and the light of each camera.
+    Columns: change of the refractivity in the cabin by the pressure, by the temperature; change of
+    the principal distance [px] by the pressure, by the temperature, 0 for cameras that are not in
+    ``lenses``. A row is NaN if neither sigma is known; if one is known, the other counts as 0.
+    ``air`` is that outside; its formula of the index has the wavelength of each camera.
     """
     p = stations.cabin_pressure_pa
     t = stations.cabin_temperature_k
     e = stations.cabin_vapour_pressure_pa
     sigmas = np.stack([stations.sigma_cabin_pressure_pa, stations.sigma_cabin_temperature_k], 1)
     slopes = np.zeros((len(stations), 4))
-    # Both sigmas side by side twice: for the refractivity, and for the principal distance.
     for name in dict.fromkeys(stations.camera.tolist()):
         rows = stations.camera == name
         index = index_of_rows(air, rows)
@@ -423,13 +428,17 @@ def cabin_changes(
             slopes[rows, 2:] = CHANGE_PER_INDEX * lens.principal_distance_px * slopes[rows, :2]
         elif lens is not None:
             slopes[rows, 2:] = lens.px_per_pa, lens.px_per_k
+    # The two sigmas twice: for the refractivity, and for the principal distance.
     changes = slopes * np.tile(np.nan_to_num(sigmas), 2)
     changes[np.isnan(sigmas).all(axis=1)] = np.nan
     return np.asarray(changes)
 
 
 def index_slopes(index: IndexModel, p: Array, t: Array, e: Array) -> Array:
-    """(m, 2) derivatives of n - 1 by pressure [1/Pa] and by temperature [1/K]."""
+    """(m, 2) derivatives of n - 1 by pressure [1/Pa] and by temperature [1/K].
+
+    ``p``, ``t``, ``e`` (m,): pressure [Pa], temperature [K] and vapour pressure [Pa].
+    """
     by_pressure = index.refractivity(t, p + _STEP_PA, e) - index.refractivity(t, p - _STEP_PA, e)
     by_temperature = index.refractivity(t + _STEP_K, p, e) - index.refractivity(t - _STEP_K, p, e)
     return np.stack([by_pressure / (2.0 * _STEP_PA), by_temperature / (2.0 * _STEP_K)], axis=1)
@@ -442,12 +451,14 @@ def with_errors_of_lenses(
     windows: Container[str],
     change_px: Array,
 ) -> Array:
-    """(s, 4) ``changes`` of `cabin_changes`, with the errors of lenses that nobody measured.
+    """(s, 4) ``changes`` of `cabin_changes`, with the uncertainty of typical lenses added.
 
-    ``change_px`` (s,) is what the air in the lens adds to the principal distance. What is unknown
-    of a typical lens counts as an error of the temperature in it, to which it is added in squares.
-    It is alone for a camera that has no ``windows``, whose lens is in the air outside; behind one
-    of which no error is known, that of the lens alone would be too small, and none stays known.
+    ``change_px`` (s,) is what the air in the lens adds to the principal distance. The uncertainty
+    of a typical lens, a lens without measured derivatives, is added in squares to the effect of the
+    temperature on the principal distance (column 3).
+
+    * A camera not in ``windows`` has its lens in the air outside: its row has this part only.
+    * Behind a window with unknown sigmas the row stays NaN: the lens alone would be too little.
     """
     changed = changes.copy()
     for name, lens in lenses.items():

@@ -30,7 +30,7 @@ from unbend.stages.wavelengths import index_of_rows
 from unbend.tables.manifest.results import CameraAirRecord, FlownCamera
 from unbend.units import PPM, Array, Mask
 
-COMPARED_AT_DEG = 45.0  # nadir angle of the R that 1 K at the camera is a part of
+COMPARED_AT_DEG = 45.0  # nadir angle of the R with which the effect of 1 K is compared
 
 
 class Air(NamedTuple):
@@ -48,10 +48,11 @@ def air_at_camera(
     lens: AnyLens | None,
     rows: Mask,
 ) -> Air:
-    """The air about the lens of a camera at some exposures (a mask): of its cabin, or outside.
+    """The air around the lens of a camera at exposures in the mask ``rows`` (s,): cabin or outside.
 
-    The air of the cabin is known, and used, only where `with_cabin_air` fills it in: for a camera
-    with a lens in air or behind a plane window.
+    The air of a cabin is used where `with_cabin_air` completes it: if the camera has a ``lens``
+    (its principal distance is corrected for the air) or a plane window. Otherwise it is the air of
+    ``profile`` at the height of the camera.
     """
     has_plane_window = window is not None and window.shape == "plane"
     has_cabin = window is not None and window.cabin is not None
@@ -72,13 +73,14 @@ def lens_change_ppm(
 ) -> float:
     """The median change [ppm] of a camera's principal distance by the air in its lens.
 
-    Where the mission file does not state the lens, it is that of a typical one since a calibration
-    in a laboratory. NaN without usable exposures.
+    If the mission file does not state the lens, it is a typical lens that was calibrated in a
+    laboratory. NaN without usable exposures. ``air`` is that outside.
     """
     rows = (stations.camera == name) & stations.ok
     if not bool(rows.any()):
         return math.nan
     stated_lens = mission.lenses.get(name)
+    # A typical lens of 1 px: the change is divided by the principal distance below.
     lens = stated_lens or TypicalLens(1.0)
     in_lens = air_at_camera(stations, air, mission.windows.get(name), stated_lens, rows)
     change = lens_change(lens, in_lens.pressure_pa, in_lens.temperature_k, index_of_rows(air, rows))
@@ -89,7 +91,10 @@ def lens_change_ppm(
 def report_lenses(
     mission: Mission, stations: Stations, air: Profile | ProfileSeries, ledger: Ledger
 ) -> None:
-    """Note how lenses are corrected that nobody measured, and which are not, with the size."""
+    """Note the lenses that are corrected as typical ones, and those that are not corrected.
+
+    For the latter the note has the size of the effect that remains, if it is known.
+    """
     for name, lens in mission.lenses.items():
         if isinstance(lens, TypicalLens):
             ledger.add(
@@ -100,34 +105,35 @@ def report_lenses(
                     sigma=SIGMA_PER_INDEX,
                 )
             )
-    uncorrected = {}
+    uncorrected_ppm = {}
     for name in mission.cameras:
         if name not in mission.lenses:
-            uncorrected[name] = lens_change_ppm(name, mission, stations, air)
-    if not uncorrected:
+            uncorrected_ppm[name] = lens_change_ppm(name, mission, stations, air)
+    if not uncorrected_ppm:
         return
     where = "cameras.<name>.principal_distance"
-    names = ", ".join(uncorrected)
-    known_ppm = [abs(change) for change in uncorrected.values() if math.isfinite(change)]
+    names = ", ".join(uncorrected_ppm)
+    known_ppm = [abs(change) for change in uncorrected_ppm.values() if math.isfinite(change)]
     if not known_ppm:
-        ledger.add(messages.lens_not_removed(where=where, count=len(uncorrected), names=names))
+        ledger.add(messages.lens_not_removed(where=where, count=len(uncorrected_ppm), names=names))
         return
     ledger.add(
         messages.lens_left_in(
             where=where,
-            count=len(uncorrected),
+            count=len(uncorrected_ppm),
             names=names,
             ppm=max(known_ppm),
-            sigma_ppm=relative_sigma() * max(known_ppm),
-            corner_px=largest_corner_shift(mission, uncorrected),
+            sigma_ppm=relative_sigma_of_typical_lens() * max(known_ppm),
+            corner_px=largest_corner_shift(mission, uncorrected_ppm),
         )
     )
 
 
 def largest_corner_shift(mission: Mission, change_ppm: Mapping[str, float]) -> float:
-    """The largest shift [px] of a corner, half a diagonal from the middle, by changes [ppm].
+    """The largest shift [px] of an image corner that changes of principal distances cause.
 
-    ``change_ppm`` are changes of principal distances by the name of the camera; NaN is none.
+    ``change_ppm`` are the changes by name of the camera; NaN counts as no change. The corner is
+    half a diagonal from the middle of the image.
     """
     largest_px = 0.0
     for name, change in change_ppm.items():
@@ -138,8 +144,8 @@ def largest_corner_shift(mission: Mission, change_ppm: Mapping[str, float]) -> f
     return largest_px
 
 
-def relative_sigma() -> float:
-    """The standard deviation of the change of a typical lens, as a part of it."""
+def relative_sigma_of_typical_lens() -> float:
+    """The standard deviation of a typical lens's change, divided by the change (0.25)."""
     return SIGMA_PER_INDEX / CHANGE_PER_INDEX
 
 
@@ -152,9 +158,10 @@ def camera_air_records(
     flown: Mapping[str, FlownCamera],
     effects: tuple[Effect, ...],
 ) -> dict[str, CameraAirRecord]:
-    """How large the effects of the air before and in the lens of each camera are.
+    """The effects of the air before and in the lens of each camera, by its name, for the manifest.
 
-    ``flown`` are the cameras with their heights above ground, ``effects`` R for the whole flight.
+    ``flown`` has the cameras' heights above ground, ``effects`` the refraction R of the flight at
+    several nadir angles. A camera without usable exposures has no record.
     """
     records = {}
     for name, camera in cameras.items():
@@ -162,26 +169,31 @@ def camera_air_records(
         ppm = lens_change_ppm(name, mission, stations, air)
         if not math.isfinite(ppm):
             continue
-        heights = flown[name].height_above_ground_m
+        height_range_m = flown[name].height_above_ground_m  # lowest, median, highest
         window = mission.windows.get(name)
         lens = mission.lenses.get(name)
         is_measured = lens is not None and not isinstance(lens, TypicalLens)
+        height_error_m = None
+        if height_range_m is not None:
+            height_error_m = round(abs(ppm) * PPM * height_range_m[1], 3)
         records[name] = CameraAirRecord(
             before_lens="outside" if window is None else window.section,
             kelvin_share=kelvin_share(air, stations, rows, effects),
             wavelength_m=index_of_rows(air, rows).light_m,
             lens_removed=lens is not None,
             lens_ppm=round(ppm, 1),
-            lens_sigma_ppm=None if is_measured else round(relative_sigma() * abs(ppm), 1),
-            lens_height_m=None if heights is None else round(abs(ppm) * PPM * heights[1], 3),
-            lens_edge_px=round(abs(ppm) * PPM * farthest_px(camera), 3),
+            lens_sigma_ppm=None
+            if is_measured
+            else round(relative_sigma_of_typical_lens() * abs(ppm), 1),
+            lens_height_m=height_error_m,
+            lens_edge_px=round(abs(ppm) * PPM * farthest_corner_px(camera), 3),
             calibrated_in_flight=mission.cameras[name].calibration != "laboratory",
         )
     return records
 
 
-def farthest_px(camera: Camera) -> float:
-    """How far the farthest corner of an image is from its principal point [px]."""
+def farthest_corner_px(camera: Camera) -> float:
+    """The distance [px] from the principal point of an image to its farthest corner."""
     x = max(camera.cx_px, camera.width_px - camera.cx_px)
     y = max(camera.cy_px, camera.height_px - camera.cy_px)
     return math.hypot(x, y)
@@ -190,9 +202,10 @@ def farthest_px(camera: Camera) -> float:
 def kelvin_share(
     air: ProfileSeries, stations: Stations, rows: Mask, effects: tuple[Effect, ...]
 ) -> float | None:
-    """What 1 K of warmth before the lens changes, as a part of R at 45 degrees.
+    """The deflection by air before the lens that is 1 K warmer, divided by R, both at 45 degrees.
 
-    dn = (n - 1) / T turns a ray by dn tan(45 deg). None where no ray looks down.
+    1 K changes n by (n - 1) / T, which turns a ray by (n - 1) / T tan(45 deg): the median over the
+    exposures in the mask ``rows``. None if ``effects`` have no positive R at 45 degrees.
     """
     r_c = [effect.r_c_rad for effect in effects if effect.nadir_deg == COMPARED_AT_DEG]
     if not r_c or not r_c[0] > 0.0:

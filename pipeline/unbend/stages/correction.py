@@ -1,6 +1,6 @@
 """The correction: batches of observations in, corrected parts of the results out.
 
-Parts are independent: what one holds does not depend on how many are in progress.
+Parts are independent: their contents do not depend on how many are in progress.
 """
 
 import math
@@ -33,7 +33,7 @@ from unbend.tables.written_columns import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
 from unbend.units import Array, Integers
 
 BYTES_OF_A_ROW = 1500
-"""Memory that a row takes while it is corrected and written: columns, temporaries, Parquet."""
+"""Memory for each row that is corrected and written: columns, temporaries, Parquet."""
 
 SHARE_OF_MEMORY = 0.25
 """Of the machine's memory, for the parts in progress."""
@@ -43,7 +43,7 @@ Done = TypeVar("Done")
 
 @dataclass(frozen=True, eq=False)
 class CorrectedPart:
-    """A part of the results by its number: a table with the columns of a run, and its counts."""
+    """A part of the results: its number (from 0), its table as written to a run, its statistics."""
 
     number: int
     table: pa.Table
@@ -64,17 +64,18 @@ def correct_parts(
     batch_rows: int,
     metadata: Mapping[str, str],
 ) -> Generator[Done, None, None]:
-    """Correct all observations, or only the parts with these ``numbers``, which rise.
+    """Correct all observations, or only the parts with these ``numbers``, in rising order.
 
-    ``finish`` takes each part on the thread that made it, for instance to write it; what it returns
-    is yielded in the order of the parts. Memory holds a part for each thread, and one more.
+    ``finish`` gets each part on the thread that made it, for instance to write it; its results are
+    yielded in the order of the parts. At most one part more than there are threads is in memory.
+    ``batch_rows`` is the wanted number of rows of a part, ``metadata`` that of the tables.
     """
     columns = OBSERVATION_COLUMNS if setup.direction == "remove" else DISPLACED_COLUMNS
     schema = schema_of(columns, metadata, observations.user_fields)
 
     def correct_part(number: int, batch: Batch) -> Done:
-        share_of_sample = math.ceil(SAMPLED_ROWS * len(batch) / observations.rows)
-        corrections, h_g, statistics = correct_counted(batch, setup, share_of_sample)
+        sampled_rows = math.ceil(SAMPLED_ROWS * len(batch) / observations.rows)
+        corrections, h_g, statistics = correct_counted(batch, setup, sampled_rows)
         table = table_of_observations(batch, corrections, h_g, observations.pixels, schema)
         return finish(CorrectedPart(number, table, statistics))
 
@@ -89,7 +90,7 @@ def correct_parts(
 
 
 def runs_of_numbers(numbers: Sequence[int]) -> Iterator[range]:
-    """Rising numbers as ranges without gaps.
+    """Numbers in rising order as ranges, a new one after each gap.
 
     >>> list(runs_of_numbers([0, 1, 4, 6, 7]))
     [range(0, 2), range(4, 5), range(6, 8)]
@@ -97,7 +98,7 @@ def runs_of_numbers(numbers: Sequence[int]) -> Iterator[range]:
     if not numbers:
         return
     first = numbers[0]
-    behind_a_gap = numbers[-1] + 2  # ends the last range
+    behind_a_gap = numbers[-1] + 2  # + 1 would continue the last range, + 2 ends it
     for number, following in pairwise([*numbers, behind_a_gap]):
         if following != number + 1:
             yield range(first, number + 1)
@@ -105,35 +106,35 @@ def runs_of_numbers(numbers: Sequence[int]) -> Iterator[range]:
 
 
 def threads_for(rows: int) -> int:
-    """How many parts of that many rows are corrected at once.
+    """How many parts of ``rows`` rows are corrected at once: one for each CPU.
 
-    One for each CPU, fewer if the parts would take more than a quarter of the memory.
+    Fewer, but at least one, if the parts would take more than a quarter of the memory.
     """
     try:
         memory_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):  # Windows says it in another way
+    except (AttributeError, ValueError, OSError):  # Windows has no sysconf: assume 8 GiB
         memory_bytes = 8 << 30
     fitting = int(SHARE_OF_MEMORY * memory_bytes / (rows * BYTES_OF_A_ROW))
     return max(1, min(usable_cpus(), fitting))
 
 
 def correct_counted(
-    batch: Batch, setup: CorrectionSetup, sampled: int = SAMPLED_ROWS
+    batch: Batch, setup: CorrectionSetup, most_sampled: int = SAMPLED_ROWS
 ) -> tuple[Corrections, Array, Statistics]:
-    """The corrections of a batch, the heights of its points [m], and the statistics of both.
+    """The corrections of a batch (n,), the heights of its points (n,) [m], and their statistics.
 
-    The statistics hold at most ``sampled`` rows that stand for all.
+    The statistics keep at most ``most_sampled`` evenly spaced rows, which represent the others.
     """
     station = matching_rows(batch.image, pa.array(setup.images, pa.string()))
     ground = setup.ground.heights(batch, station, setup)
-    corrections = ground.flagged(correct_batch(batch, station, ground, setup))
+    corrections = ground.with_ground_status(correct_batch(batch, station, ground, setup))
     statistics = Statistics.of(setup.cameras)
     statistics.add(batch, corrections, setup.camera_number[station])
     statistics.implausible_heights += ground.implausible
-    used = ground.h_m[np.isfinite(corrections.dx_px)]
-    if used.size:
-        statistics.ground_m = float(used.min()), float(used.max())
-    statistics.sampled.append(SampledRows.of(batch, corrections, ground.h_m, station, sampled))
+    corrected_h_m = ground.h_m[np.isfinite(corrections.dx_px)]
+    if corrected_h_m.size:
+        statistics.ground_m = float(corrected_h_m.min()), float(corrected_h_m.max())
+    statistics.sampled.append(SampledRows.of(batch, corrections, ground.h_m, station, most_sampled))
     return corrections, ground.h_m, statistics
 
 
@@ -144,11 +145,11 @@ def on_threads(
     *,
     threads: int,
 ) -> Generator[Done, None, None]:
-    """Results for batches, in their order, computed on threads; ``first`` numbers the first one.
+    """Results of ``correct_part`` for batches, computed on threads and yielded in their order.
 
-    One batch more than there are ``threads`` is in work or waits to be yielded. A signal is held
-    back while a batch is handed over or waited for; at the end, or after an error, batches that
-    have not begun are cancelled, and those that have begun are waited for.
+    ``first`` is the number of the first batch. At most ``threads`` + 1 batches are being corrected
+    or wait to be yielded. A signal is held back while a batch is submitted or waited for. At the
+    end, or after an error, batches that have not begun are cancelled, and the others waited for.
     """
     pending: deque[Future[Done]] = deque()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="batch")
@@ -175,10 +176,11 @@ def on_threads(
 def correct_batch(
     batch: Batch, station: Integers, ground: GroundHeights, setup: CorrectionSetup
 ) -> Corrections:
-    """The corrections of a batch, computed for each camera and profile, in the order of its rows.
+    """The corrections of a batch in the order of its rows, computed for each camera and profile.
 
-    ``station`` (n,) as `matching_rows` returns it, ``ground`` the heights of the batch. Rows that
-    are in no group, without a station or a camera, get the status no_station.
+    ``station`` (n,) is the number of each row's station, -1 without one; ``ground`` has the heights
+    of the batch. Rows without a station, or with a station without a camera, get the status
+    no_station.
     """
     parts: list[tuple[Integers, Corrections]] = []
     for rows, camera, profile in setup.groups(station):
@@ -208,9 +210,10 @@ def correct_rows(
     camera: Camera,
     profile: int,
 ) -> Corrections:
-    """The corrections of some rows of a batch, which one camera saw in one profile.
+    """The corrections of some rows of a batch, seen by one camera in one profile (its number).
 
-    Slant ranges are those of the batch, else those of an elevation model, else none.
+    ``station`` and ``ground`` are of the whole batch. Slant ranges are those of the batch, else
+    those of an elevation model, else none.
     """
     method = correct_observations if setup.direction == "remove" else apply_refraction
     uncertainty = setup.uncertainties[profile]

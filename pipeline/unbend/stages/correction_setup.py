@@ -1,4 +1,4 @@
-"""What the observations of a mission are corrected with, and where the heights of their points are.
+"""All that the correction of observations needs, and the interface of sources of ground heights.
 
 A source of ground heights needs the whole setup: where a ray lands depends on camera and air.
 """
@@ -27,8 +27,9 @@ from unbend.units import Array, Integers, Names
 class GroundHeights(NamedTuple):
     """Heights of the points of a batch above sea level [m] and their sigmas; (n,), NaN if unknown.
 
-    Only an elevation model gives ``status`` (codes of rays that land nowhere) and ``distance_m``
-    (slant ranges); ``implausible`` counts heights that no ground on earth has.
+    Only an elevation model gives ``status`` (n,), codes of `status_codes` that mark rays which miss
+    the ground, and slant ranges ``distance_m`` (n,). ``implausible`` counts given heights below or
+    above all land.
     """
 
     h_m: Array
@@ -37,17 +38,17 @@ class GroundHeights(NamedTuple):
     implausible: int = 0
     distance_m: Array | None = None
 
-    def flagged(self, corrections: Corrections) -> Corrections:
-        """The corrections with the status of the ground, if that is not ok, in place of their own.
+    def with_ground_status(self, corrections: Corrections) -> Corrections:
+        """The corrections, with a status of the ground that is not ok in place of ok or no_ground.
 
-        It replaces only ok and no_ground: any other status says what failed before the ground.
+        Any other status of a correction stays: it records what failed before the ground.
         """
         if self.status is None:
             return corrections
-        before = corrections.status
-        is_replaced = np.isin(before, (OK, NO_GROUND))
+        status_of_rays = corrections.status
+        is_replaced = np.isin(status_of_rays, (OK, NO_GROUND))
         is_replaced &= self.status != OK
-        status = np.where(is_replaced, self.status, before)
+        status = np.where(is_replaced, self.status, status_of_rays)
         return replace(corrections, status=status.astype(np.uint8))
 
 
@@ -59,15 +60,15 @@ class Ground(Protocol):
         """The lowest and the highest height above sea level that a point can have [m]."""
 
     def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
-        """The heights of a batch; ``station`` (n,) as `matching_rows` returns it."""
+        """The heights of a batch; ``station`` (n,) is each row's station number, -1 without one."""
 
 
 @dataclass(frozen=True, eq=False)
 class CorrectionSetup:
     """Everything that a batch of observations is corrected with.
 
-    ``images``, ``camera_names`` and ``profile_number`` (s,) belong to the rows of ``exposures``. A
-    profile number is an index into ``rays`` and ``uncertainties`` (None: no standard deviations).
+    ``images``, ``camera_names`` and ``profile_number`` (s,) are those of the exposures. A profile
+    number is an index into ``rays`` and ``uncertainties`` (None: no standard deviations).
     """
 
     images: Names
@@ -87,10 +88,10 @@ class CorrectionSetup:
 
     @cached_property
     def camera_number(self) -> Integers:
-        """(s + 1,) the position in ``cameras`` of each station's camera, -1 without one.
+        """(s + 1,) the position in ``cameras`` of each station's camera, -1 without a camera.
 
-        An image without an exposure has a station without a camera. The last entry is for
-        observations without a station, whose station is -1.
+        The extra last entry is -1: observations without a station have the station number -1, which
+        is the index of the last entry. An image without an exposure has a station without a camera.
         """
         number_of = {name: number for number, name in enumerate(self.cameras)}
         numbers = [number_of.get(name, -1) for name in self.camera_names]
@@ -98,9 +99,10 @@ class CorrectionSetup:
         return np.array(numbers, np.int64)
 
     def groups(self, station: Integers) -> Iterator[tuple[Integers, Camera, int]]:
-        """The observations (n,) of each camera in each profile: rows, camera, profile number.
+        """Observations grouped by camera and profile: their rows, camera, and profile number.
 
-        Observations without a station, or whose station has no camera, are in no group.
+        ``station`` (n,) is the number of each observation's station. Observations without a station
+        or with a station without a camera are in no group.
         """
         camera_number = self.camera_number[station]
         for number, camera in enumerate(self.cameras.values()):
@@ -116,18 +118,18 @@ class CorrectionSetup:
                 yield in_profile, camera, profile_number
 
     def directions(self, x_px: Array, y_px: Array, station: Integers) -> tuple[Array, Array]:
-        """(n, 3) unit vectors of pixels in their cameras, and (n,) the size of a pixel [rad].
+        """(n, 3) unit vectors of pixels in the frames of their cameras, and (n,) pixel sizes [rad].
 
         A pixel without a camera has the vector NaN and the size 1.
         """
         direction = np.full((station.size, 3), np.nan)
-        sigma_rad = np.ones(station.size)
+        pixel_size_rad = np.ones(station.size)
         for rows, camera, _ in self.groups(station):
             u, v, _ = camera.rays(x_px[rows], y_px[rows])
             ones = np.ones(u.size)
             vectors = np.stack([u, v, ones], axis=1)
             direction[rows] = vectors
-            sigma_rad[rows] = 1.0 / camera.fx_px
+            pixel_size_rad[rows] = 1.0 / camera.fx_px
         length = np.linalg.norm(direction, axis=1)
         unit_vector = direction / length[:, None]
-        return unit_vector, sigma_rad
+        return unit_vector, pixel_size_rad

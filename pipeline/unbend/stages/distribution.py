@@ -1,4 +1,4 @@
-"""Distributions of the magnitudes of a stream, in fixed memory; quantiles of weighted rows."""
+"""Distributions of a stream of magnitudes in fixed memory; quantiles of weighted values."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from unbend.tables.manifest.results import DistributionRecord, HistogramRecord, Quantiles
 from unbend.units import Array, Integers, round_step
 
-_LOWEST_EXPONENT = -12  # of 10: the first bin; zero falls into it
-_HIGHEST_EXPONENT = 8
+_LOWEST_EXPONENT = -12  # the first bin begins at 1e-12; smaller values and zero fall into it
+_HIGHEST_EXPONENT = 8  # the last bin begins at 1e8; larger values fall into it
 _BINS_PER_DECADE = 500  # each is 0.46 % wide
 _BINS = (_HIGHEST_EXPONENT - _LOWEST_EXPONENT) * _BINS_PER_DECADE + 1
 
@@ -32,7 +32,7 @@ class Distribution:
     total: int = 0
 
     def add(self, values: Array) -> None:
-        """Count values; zero falls into the lowest bin, NaN into none."""
+        """Count values; zero falls into the lowest bin, NaN and infinity are not counted."""
         finite = np.isfinite(values)
         if not finite.all():
             values = values[finite]
@@ -48,9 +48,9 @@ class Distribution:
         self.total += values.size
 
     def quantile(self, share: float) -> float | None:
-        """The value that a share of the values does not exceed; None without values.
+        """The value that a share (0 to 1) of the values does not exceed; None without values.
 
-        The middle of a bin stands for its values, and 0 for those of the lowest bin.
+        Each value counts as the middle of its bin, in the lowest bin as 0.
         """
         if self.total == 0:
             return None
@@ -58,7 +58,7 @@ class Distribution:
         if bin_number == 0:
             return 0.0
         middle = float(middle_of_bins(np.array(bin_number)))
-        return min(middle, self.maximum)  # the middle of the last bin may lie beyond
+        return min(middle, self.maximum)  # the middle of the last filled bin may be above it
 
     def __add__(self, other: Distribution) -> Distribution:
         return Distribution(
@@ -70,7 +70,8 @@ class Distribution:
     def histogram(self, bins: int = 24) -> HistogramRecord:
         """Counts in at most ``bins`` bins from zero, with a step of 1, 2 or 5 times a power of 10.
 
-        A value counts by the middle of its logarithmic bin, which is 0.23 % off at most.
+        Each value counts as the middle of its logarithmic bin, which is 0.23 % off at most.
+        ``counts[i]`` is for values from i to i + 1 steps.
 
         >>> distribution = Distribution()
         >>> distribution.add(np.array([0.1, 2.5, 2.6, 9.9]))
@@ -104,20 +105,20 @@ class Distribution:
 
 
 def middle_of_bins(number: Integers) -> Array:
-    """The middle value of bins, by their numbers."""
+    """The middle values of the logarithmic bins of a `Distribution` with these numbers."""
     exponent = (number + 0.5) / _BINS_PER_DECADE + _LOWEST_EXPONENT
     return np.asarray(10.0**exponent)
 
 
 def to_digits(value: float | None, digits: int) -> float | None:
-    """A number rounded to some significant digits."""
+    """A number rounded to some significant digits; None stays None."""
     if value is None:
         return None
     return float(f"{value:.{digits}g}")
 
 
 def median_and_p95(values: Array, weight: Array) -> Quantiles:
-    """The median of the finite values, and what 95 % of them do not exceed."""
+    """Weighted median and 95 % quantile of the finite values; ``values``, ``weight`` (n,)."""
     median = weighted_quantile(values, weight, 0.5)
     p95 = weighted_quantile(values, weight, 0.95)
     return Quantiles(median, p95)
@@ -128,7 +129,9 @@ def weighted_quantile(
     weight: Array,
     share: float,
 ) -> float | None:
-    """The value that a share of the finite values does not exceed, to six digits; None without any.
+    """The value that a share (0 to 1) of the weight of the finite values does not exceed.
+
+    It is one of the ``values`` (n,), to six digits; None if none is finite.
 
     >>> weighted_quantile(np.array([1.0, 5.0, 9.0]), np.array([1.0, 1.0, 3.0]), 0.5)
     9.0

@@ -1,4 +1,4 @@
-"""Sensors of the air outside and of the cabin that a mission file has exchanged."""
+"""Sensors of the air outside and of the cabin that a mission file has likely exchanged."""
 
 from collections.abc import Collection, Iterator, Mapping
 
@@ -14,41 +14,42 @@ from unbend.stages.air_sources import AirSources
 from unbend.stages.flight_log import FlightLog
 
 NOT_OUTSIDE = {"AIR-NOT-OUTSIDE": "pressure", "AIR-THERMOMETER": "temperature"}
-"""Codes of losses by which a sensor is not outside, with the role that it has."""
+"""Codes of losses that mean that a sensor is not outside, and the role of this sensor."""
 
 DOUBTED = {**NOT_OUTSIDE, "AIR-ISOTHERMAL": "temperature"}
-"""The same, and that of a warning: a sensor with one of them does not behave as outside."""
+"""`NOT_OUTSIDE`, and a warning that a sensor does not seem to measure the air outside."""
 
 
 def exchanged_sensors(
     mission: Mission, flight: FlightLog, stations: Stations, sources: AirSources, ledger: Ledger
 ) -> Iterator[Message]:
-    """A finding for each pair of sensors, outside and in the cabin, that seem exchanged.
+    """A finding for each quantity with sensors outside and in the cabin that seem exchanged.
 
-    The sensor stated as outside was found not to be outside, and the one stated as the cabin's
-    passes all checks in its place. The air is estimated once more for that, and again if another
-    sensor is found not to be outside then.
+    That is if ``ledger`` has a loss that the sensor stated as outside is not outside, and the
+    sensor of the cabin passes all checks in its place. For these checks the air is estimated once
+    more with the sensors exchanged. If a sensor of the other quantity is doubted then, its pair is
+    exchanged too, and the air estimated again.
     """
     roles = flight.air_roles
-    pairs = {role for role in NOT_OUTSIDE.values() if is_pair(roles, role)}
-    exchanged = roles_with(ledger, NOT_OUTSIDE) & pairs
+    pairs = {role for role in NOT_OUTSIDE.values() if has_both_sensors(roles, role)}
+    exchanged = roles_with_codes(ledger, NOT_OUTSIDE) & pairs
     tried: set[str] = set()
     passed: set[str] = set()
-    while exchanged > tried:
+    while exchanged > tried:  # until no further role is exchanged
         tried = exchanged
         trial = Ledger()
         samples = trial.take(
             outside_air_samples(
-                with_exchanged(roles, tried),
+                with_cabin_sensors(roles, tried),
                 flight.heights,
                 mission.max_gap_s,
-                flight.own_suspect,
+                flight.logged_suspect,
                 flight.ground,
             )
         )
         air = adjusted_profiles(mission, stations, samples, sources, trial)
         used = {use.quantity for use in air.adjustment.sensor_uses if use.used}
-        doubted = roles_with(trial, DOUBTED)
+        doubted = roles_with_codes(trial, DOUBTED)
         passed = set()
         for role in (tried - doubted) & used:
             sensor = samples.sensors.get(role)
@@ -64,20 +65,22 @@ def exchanged_sensors(
         )
 
 
-def is_pair(roles: Mapping[str, Channel], role: str) -> bool:
-    """Whether different channels play a role outside and in the cabin."""
+def has_both_sensors(roles: Mapping[str, Channel], role: str) -> bool:
+    """Whether a role has a channel outside and another one in the cabin (``cabin_<role>``)."""
     outside = roles.get(role)
     cabin = roles.get(f"cabin_{role}")
     return outside is not None and cabin is not None and outside.name != cabin.name
 
 
-def roles_with(ledger: Ledger, role_of_code: Mapping[str, str]) -> set[str]:
-    """The roles of which a ledger has one of the codes."""
+def roles_with_codes(ledger: Ledger, role_of_code: Mapping[str, str]) -> set[str]:
+    """The roles that belong to the codes of a ledger's entries; other codes do not count."""
     return {role_of_code[entry.code] for entry in ledger if entry.code in role_of_code}
 
 
-def with_exchanged(roles: Mapping[str, Channel], exchanged: Collection[str]) -> dict[str, Channel]:
-    """The roles with the channels of the cabin outside, for some of them."""
+def with_cabin_sensors(
+    roles: Mapping[str, Channel], exchanged: Collection[str]
+) -> dict[str, Channel]:
+    """A copy of the roles, in which the cabin's channels play the ``exchanged`` roles outside."""
     changed = dict(roles)
     for role in exchanged:
         changed[role] = roles[f"cabin_{role}"]

@@ -29,16 +29,16 @@ from unbend.tables.imports.user_tables import EventTable
 from unbend.units import Names
 
 Positions = Mapping[str, Channel]
-"""Exposures that come from a file with their positions, by camera."""
+"""The channel of exposures with positions from a file, by camera."""
 
 
 def read_positions(
     mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
 ) -> dict[str, Channel]:
-    """The exposures of each camera that come from a file with their positions.
+    """Read the files of exposures with positions: a channel for each camera that has one.
 
-    Attitudes of cameras become those of the aircraft, by the mount. Refuses (STATIONS-ATTITUDE) a
-    file that gives no attitudes, if neither a log nor a trajectory does.
+    Attitudes of the camera in a file are converted to those of the aircraft, by the mount. Refuses
+    (STATIONS-ATTITUDE) a file without attitudes, if neither a log nor a trajectory gives them.
     """
     positions = {}
     for camera, source in mission.position_events.items():
@@ -65,20 +65,20 @@ def read_positions(
                 where=where, count=len(channel), name=channel.name, camera=camera, places=places
             )
         )
-        compare_with_log(channel, flight.own, flight.heights, ledger, replaces=replaced)
+        compare_with_log(channel, flight.logged_roles, flight.heights, ledger, replaces=replaced)
         positions[camera] = channel
     return positions
 
 
 def with_aircraft_attitude(mission: Mission, camera: str, channel: Channel) -> Channel:
-    """A channel of a camera's attitudes with those of the aircraft, by the mount."""
-    # The channel has the attitudes of a body in which the camera would be at rest.
-    at_rest = np.stack([channel[f"q_{axis}"] for axis in "wxyz"], axis=1)
+    """A channel of a camera's attitudes, with these converted to the aircraft's by the mount."""
+    # The file's attitudes are of a body in which the camera has its default position.
+    of_default_body = np.stack([channel[f"q_{axis}"] for axis in "wxyz"], axis=1)
     mount = mission.mounts[camera]
-    of_body = in_turned_frame(at_rest, CAMERA_AT_REST.T @ mount.camera_from_body)
+    of_aircraft = in_turned_frame(of_default_body, CAMERA_AT_REST.T @ mount.camera_from_body)
     columns = dict(channel.columns)
     for number, axis in enumerate("wxyz"):
-        columns[f"q_{axis}"] = of_body[:, number]
+        columns[f"q_{axis}"] = of_aircraft[:, number]
     return replace(channel, columns=columns)
 
 
@@ -89,22 +89,25 @@ def exposure_events(
     positions: Positions,
     ledger: Ledger,
 ) -> list[Events]:
-    """When each camera was exposed, by images as they are observed; compared with the log."""
+    """When each camera was exposed, with the names of images as the observations have them.
+
+    Notes report exposures outside the time of the positions. Refuses images that are exposed twice.
+    """
     section = mission.events
     if section is None:
         return []
     observed = inputs.observations.images
     events = []
-    for exposed in events_of_cameras(mission, section, inputs, flight, positions, ledger=ledger):
+    for of_camera in events_of_cameras(mission, section, inputs, flight, positions, ledger=ledger):
         image = ledger.take(
             renamed_like_images(
-                exposed.image,
+                of_camera.image,
                 observed,
                 mission.observations.match_names,
-                f"events, {exposed.camera}",
+                f"events, {of_camera.camera}",
             )
         )
-        events.append(replace(exposed, image=image))
+        events.append(replace(of_camera, image=image))
     refuse_repeated_images(events)
     if "position" in flight.roles:
         key = section.time_key
@@ -125,7 +128,8 @@ def events_of_cameras(
 ) -> list[Events]:
     """When each camera was exposed: one `Events` for each camera that the source names.
 
-    The source is the log, or files with positions, or the table of events.
+    The source is the log, or files with positions, or the table of events. Refuses (EVENTS-NONE) a
+    mission without any.
     """
     if section.log is not None:
         return events_of_log(section, flight, ledger)
@@ -141,7 +145,10 @@ def events_of_cameras(
 
 
 def events_of_log(section: EventsSection, flight: FlightLog, ledger: Ledger) -> list[Events]:
-    """The pulses that a log has of each camera, moved by their delay."""
+    """The exposures of each camera in a log, at the logged pulses plus the stated delay.
+
+    The delay may come from the pulses of the camera's feedback (``delay_s: from_feedback``).
+    """
     channels = flight.channels
     parameters = {} if flight.log is None else flight.log.parameters
     events = []
@@ -160,64 +167,64 @@ def events_of_log(section: EventsSection, flight: FlightLog, ledger: Ledger) -> 
 
 
 def events_of_table(mission: Mission, section: EventsSection, table: EventTable) -> list[Events]:
-    """The exposures of a table, by camera."""
+    """The exposures of a table: one `Events` for each camera of the mission."""
     csv = section.csv
     if csv is None:
         raise messages.no_events(where="events", what="events")
-    camera_of = camera_of_rows(
+    camera_of_row = camera_of_rows(
         mission, table.camera, csv.camera, table.time_ns.size, where=str(csv.path)
     )
     delay = ExposureDelay(csv.delay_s)
     return [
-        exposures.events_of_table(table.image, camera_of, table.time_ns, camera, delay)
+        exposures.events_of_table(table.image, camera_of_row, table.time_ns, camera, delay)
         for camera in mission.cameras
     ]
 
 
 def camera_of_rows(
-    mission: Mission, given: Names | None, only: str | None, count: int, *, where: str
+    mission: Mission, column: Names | None, stated_camera: str | None, count: int, *, where: str
 ) -> Names:
-    """(n,) the camera of each of ``count`` rows of a table.
+    """(n,) the name of the camera of each of the ``count`` rows of a table.
 
-    It is that of the column of cameras (``given``), if the table has one; else the camera that the
-    mission file states for all rows (``only``); else the mission's only camera. Refuses
-    (EVENTS-CAMERA) rows of a camera that is unknown or not defined.
+    It is that in the table's ``column`` of cameras; without one, the camera that the mission file
+    states for all rows; without that, the mission's only camera. Refuses (EVENTS-CAMERA) rows of
+    a camera that the mission file does not define, and rows of an unstated one of several cameras.
     """
     cameras = list(mission.cameras)
-    named = given
-    if named is None:
-        if only is None and len(cameras) > 1:
+    names = column
+    if names is None:
+        if stated_camera is None and len(cameras) > 1:
             raise messages.camera_unstated(where=where, cameras=", ".join(cameras))
-        named = np.full(count, only or cameras[0], dtype=object)
-    for name in sorted(set(named.tolist()) - set(mission.cameras)):
+        names = np.full(count, stated_camera or cameras[0], dtype=object)
+    for name in sorted(set(names.tolist()) - set(mission.cameras)):
         raise messages.events_of_unknown_camera(
             where=where, name=str(name), cameras=", ".join(mission.cameras)
         )
-    return named
+    return names
 
 
 def events_of_file(
     channel: Channel, camera: str, image: str, delay_s: float, ledger: Ledger
 ) -> Events:
-    """Exposures of a file with positions, whose names are in the file or follow a pattern.
+    """Exposures of a file with positions; ``image`` is "{name}" or a pattern of image names.
 
-    With a pattern the field `Events.counts` says whether the numbers of the file only count its
-    rows, so that a lost event would shift them:
+    "{name}" takes the names from the file. With a pattern ({index}, {n}) `Events.counts` records
+    whether event numbers only count the file's rows, so that a lost event would shift them:
 
-    * "always" for RTKLIB, whose files have no numbers of their own;
+    * "always" for RTKLIB: its files have no event numbers;
     * "maybe" if the numbers are 1, 2, 3 ... without a gap, as a program that renumbers writes them;
     * "no" for other numbers.
 
-    Refuses a pattern with ``{index}`` if the numbers fall from one event to the next.
+    Refuses (EVENTS-ORDER) a pattern with {index} if a number is less than the one before.
     """
     if image == "{name}":
         return events_by_names(channel, camera, delay_s, ledger)
     numbers = channel["event_index"].astype(np.int64)
-    falling = int(np.count_nonzero(np.diff(exposures.unwrapped_numbers(numbers)) < 0))
+    falling_steps = int(np.count_nonzero(np.diff(exposures.unwrapped_numbers(numbers)) < 0))
     events = ledger.take(events_of_channel(channel, camera, image, ExposureDelay(delay_s)))
-    if falling and "{index" in image:
-        raise messages.numbers_fall(where=channel.name, count=falling)
-    warn_of_order(falling, channel, ledger)
+    if falling_steps and "{index" in image:
+        raise messages.numbers_fall(where=channel.name, count=falling_steps)
+    warn_of_order(falling_steps, channel, ledger)
     if channel.source.message == "RTKLIB":
         return replace(events, counts="always")
     count_from_one = np.arange(1, numbers.size + 1)
@@ -227,7 +234,10 @@ def events_of_file(
 
 
 def events_by_names(channel: Channel, camera: str, delay_s: float, ledger: Ledger) -> Events:
-    """Exposures of a file that names their images."""
+    """Exposures of a file that names their images, ``delay_s`` after the times of the file.
+
+    Refuses (EVENTS-NAMELESS) a file without names.
+    """
     names = channel.labels.get("name")
     if names is None:
         raise messages.events_without_names(where=channel.name)
@@ -238,7 +248,7 @@ def events_by_names(channel: Channel, camera: str, delay_s: float, ledger: Ledge
 
 
 def last_number(name: str) -> int:
-    """The last group of digits in an image's name; 0 without one.
+    """The last group of at most 15 digits in an image's name, as a number; 0 without digits.
 
     >>> last_number("DSC_0042.jpg")
     42
@@ -247,8 +257,12 @@ def last_number(name: str) -> int:
     return int(groups[-1]) if groups else 0
 
 
-def warn_of_order(falling: int, channel: Channel, ledger: Ledger) -> None:
-    """A warning where most of a file's numbers fall as time goes on."""
+def warn_of_order(falling_steps: int, channel: Channel, ledger: Ledger) -> None:
+    """Warn if most numbers or names of a file decrease with time.
+
+    ``falling_steps`` counts the events with a number below that of the event before.
+    """
     total = len(channel)
-    if 2 * falling > total - 1:
-        ledger.add(messages.most_numbers_fall(where=channel.name, count=falling, total=total))
+    steps = total - 1
+    if 2 * falling_steps > steps:
+        ledger.add(messages.most_numbers_fall(where=channel.name, count=falling_steps, total=total))

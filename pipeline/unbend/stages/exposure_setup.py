@@ -28,10 +28,10 @@ from unbend.units import DEGREE, HECTOPASCAL, Array, Mask
 
 
 def orientations_of_mission(mission: Mission, stations: Stations) -> Orientations:
-    """Position and attitude of the stations for intersections.
+    """Position and attitude of the stations, with sigmas, for the intersection of rays.
 
-    Unknown sigmas are the usual ones of an adjusted block, if the orientations come from one, else
-    those of a flight.
+    Unknown sigmas get usual values: those of an adjusted block if the mission file states
+    orientations, else those of a flight log.
     """
     if mission.stations.orientation is not None:
         return orientations_of(stations, SIGMAS_OF_BLOCK)
@@ -41,7 +41,10 @@ def orientations_of_mission(mission: Mission, stations: Stations) -> Orientation
 def exposures_of_mission(
     mission: Mission, stations: Stations, air: ProfileSeries, ledger: Ledger
 ) -> Exposures:
-    """The exposures of a mission; the ledger names the effects that are not removed."""
+    """The exposures of a mission, with notes on windows, lenses and effects that are not removed.
+
+    ``air`` has the profiles in the light of each camera.
+    """
     for name, camera in mission.cameras.items():
         if camera.calibration == "in_flight_uncorrected":
             where = f"cameras.{name}.calibration"
@@ -61,11 +64,11 @@ def exposures_of_mission(
     return exposures
 
 
-def is_aircraft_by_mount(mission: Mission, camera: str) -> bool:
-    """Whether the attitude of the aircraft follows from that of a camera, by its mount alone.
+def is_aircraft_attitude_by_mount(mission: Mission, camera: str) -> bool:
+    """Whether the aircraft's attitude is known only from the attitude of a camera and its mount.
 
-    So it does where the angles are those of the camera itself, and no channel of the log is named
-    for the aircraft. Angles of a gimbal (``dji``) are those of its camera.
+    That is if the stated angles are those of the camera itself, also as the angles of a gimbal
+    (``dji``), and the mission file names no channel of the log for the aircraft's attitude.
     """
     if mission.log is not None and mission.log.channels.aircraft_attitude is not None:
         return False
@@ -79,16 +82,17 @@ def is_aircraft_by_mount(mission: Mission, camera: str) -> bool:
 def report_windows_by_mount(
     mission: Mission, stations: Stations, exposures: Exposures, ledger: Ledger
 ) -> None:
-    """Warn of windows in the frame of an aircraft, the attitude of which nothing states.
+    """Warn of windows that are fixed to an aircraft, if nothing states the aircraft's attitude.
 
-    Their direction follows from the mount, as if the camera was fixed to the aircraft. The warning
-    has the shift of all points for one degree that the camera is turned in the aircraft.
+    Their direction then follows from the mount, as if the camera was fixed to the aircraft. The
+    warning has the shift [px] of all points if the camera is turned one degree in the aircraft.
     """
     air_step = exposures.refractivity_cabin - exposures.refractivity_outside
     for name, window in mission.windows.items():
         rows = (stations.camera == name) & exposures.usable
-        of_aircraft = window.frame == "body"
-        if not (of_aircraft and is_aircraft_by_mount(mission, name) and bool(rows.any())):
+        if window.frame != "body" or not bool(rows.any()):
+            continue
+        if not is_aircraft_attitude_by_mount(mission, name):
             continue
         # A plane window deflects a ray along its normal plus an angle t by (n_cc - n) tan t.
         deflection_rad = np.abs(air_step[rows]) * math.tan(DEGREE)
@@ -113,18 +117,19 @@ def exposures_of(
     *,
     radius_m: float | None,
 ) -> Exposures:
-    """Attitude, height, window and lens of each exposure, and the air beside them.
+    """Attitude, height, window and lens of each exposure, and the air outside and in the cabin.
 
-    The air outside is the profile's at the height of the camera, in which the ray starts; the air
-    in the cabin is that of the stations (`with_cabin_air`). The lens is in the cabin's air behind a
-    window, else in the air outside. Refuses (MissionError LENS-CHANGE) a change of the principal
-    distance of more than 1 %.
+    The air outside is that of the profile at the height of the camera; the air in the cabin is that
+    of the stations (`with_cabin_air`). A lens is in the air of the cabin if the camera has one,
+    else in the air outside. ``windows`` and ``lenses`` are by camera; ``radius_m`` replaces the
+    radius of the ellipsoid, if given. Refuses (MissionError LENS-CHANGE) a change of the principal
+    distance by more than 1 %.
     """
     rotation = matrices_of(stations.quaternion)
     h = stations.h_msl_m
     n_outside = profile.refractivity(h)
     n_in_cabin = n_outside.copy()
-    normal = np.tile(OPTICAL_AXIS, (len(stations), 1))  # where no window bends, of no effect
+    normal = np.tile(OPTICAL_AXIS, (len(stations), 1))  # has no effect without a plane window
     principal_change_px = np.zeros(len(stations))
     for name in dict.fromkeys((*windows, *lenses)):
         rows = stations.camera == name
@@ -143,7 +148,7 @@ def exposures_of(
             principal_change_px[rows] = lens_change(
                 lens, air.pressure_pa, air.temperature_k, index_of_rows(profile, rows)
             )
-            report_change(
+            report_lens_change(
                 name,
                 lens,
                 change_px=principal_change_px[rows],
@@ -173,21 +178,26 @@ def exposures_of(
 def window_normals(window: Window, rotation: Array, aircraft_quaternion: Array) -> Array:
     """(m, 3) normals of a window in the frame of its camera; NaN where an attitude is unknown.
 
-    ``rotation`` (m, 3, 3) turns east-north-up into the camera, ``aircraft_quaternion`` (m, 4) into
-    the body of the aircraft, in which the normal is stated unless the camera's frame is named.
+    The normal is stated in the frame of the camera or of the aircraft's body (``window.frame``).
+    ``rotation`` (m, 3, 3) turns vectors from east-north-up into the camera frame,
+    ``aircraft_quaternion`` (m, 4) from east-north-up into the body frame.
     """
     normal = np.array(window.normal)
     if window.frame == "camera":
         return np.broadcast_to(normal, (rotation.shape[0], 3))
-    # "nji" transposes the rotation into the body, which turns the normal out of it.
+    # "nji" transposes the rotation, so that it turns the normal from body to east-north-up.
     in_enu = np.einsum("nji,j->ni", matrices_of(aircraft_quaternion), normal)
     return np.asarray(np.einsum("nij,nj->ni", rotation, in_enu))
 
 
-def report_change(
+def report_lens_change(
     name: str, lens: AnyLens, change_px: Array, pressure_pa: Array, ok: Mask, ledger: Ledger
 ) -> None:
-    """Note how much the air in a lens changes its principal distance; refuse an absurd change."""
+    """Note how much the air in a lens changes its principal distance; refuse an absurd change.
+
+    ``change_px``, ``pressure_pa`` (of the air in the lens) and ``ok`` (m,) are of the exposures of
+    the camera ``name``; only those that are ok count.
+    """
     where = f"cameras.{name}.principal_distance"
     absurd = np.zeros(ok.shape, dtype=bool)
     if isinstance(lens, LensInAir):
@@ -216,7 +226,7 @@ def report_change(
 
 
 def report_lights(wavelengths_m: Mapping[str, float], common_m: float, ledger: Ledger) -> None:
-    """Note the cameras that have a wavelength [m] of their own, if there are any."""
+    """Note the cameras with a stated wavelength [m], if any; others have ``common_m`` [m]."""
     if not wavelengths_m:
         return
     lights = [f"{name} at {length_m * 1e6:g} um" for name, length_m in wavelengths_m.items()]
@@ -231,7 +241,7 @@ def report_lights(wavelengths_m: Mapping[str, float], common_m: float, ledger: L
 
 
 def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
-    """Note of each window its shape, and how its glass counts; of an opening, the air in it."""
+    """Note for each window if its glass displaces rays; for an opening, the air in it."""
     for name, window in windows.items():
         where = f"cameras.{name}.{window.section}"
         if window.cabin is not None and window.is_opening:
@@ -255,11 +265,11 @@ def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
 def correction_setup(
     mission: Mission, stations: Stations, air: ProfileSeries, heights: HeightSystem, ledger: Ledger
 ) -> CorrectionSetup:
-    """Exposures, cameras, rays and ground heights of a mission.
+    """Everything that observations are corrected with, still without standard deviations.
 
-    The ground is the given one, or that at which slant ranges end; `with_terrain` and
-    `with_intersected_heights` replace it later. ``heights`` relates heights above sea level, above
-    the ellipsoid and above the take-off.
+    The ground heights are the given ones, or those at which slant ranges end; `with_terrain` and
+    `with_intersected_heights` replace them if the mission has such a source. ``heights`` relates
+    heights above sea level, above the ellipsoid and above the take-off.
     """
     section = mission.ground
     ground: Ground

@@ -1,4 +1,4 @@
-"""When a mission was flown: by its exposures, or as the mission file states."""
+"""Date and hour of a flight, from its exposures or from the mission file."""
 
 from collections.abc import Sequence
 from datetime import datetime
@@ -17,15 +17,16 @@ from unbend.stages import messages
 from unbend.units import NANOSECONDS_PER_SECOND
 
 FARTHEST_FROM_DATE_NS = 36 * 3600 * NANOSECONDS_PER_SECOND
-"""How far exposures may be from noon of the stated date: also in a place across the date line."""
+"""Most time from the stated date (without an hour, from its noon). 36 h also allow the local date
+of a place at the date line."""
 
 MONTHS = 12
 
 
 def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int | None:
-    """When a mission was flown [Unix ns]: the middle exposure, else as the mission file states.
+    """When a mission was flown [Unix ns]: UTC of the middle exposure, else the stated date.
 
-    None where neither is known. A stated date that the exposures contradict is a finding.
+    None if neither is known. Warns of a stated date that the exposures contradict.
     """
     stated_ns = nanoseconds_of_date(stated_date(mission))
     flown_ns = middle_time_ns(stations.utc_ns)
@@ -44,7 +45,7 @@ def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int 
 
 
 def _note_unknown_time(mission: Mission, ledger: Ledger) -> None:
-    """Say that a flight without UTC has no date, or a date without an hour."""
+    """Report that a flight without UTC has no stated date, or one without an hour."""
     date = stated_date(mission)
     if date is None:
         ledger.add(messages.flight_undated())
@@ -53,7 +54,7 @@ def _note_unknown_time(mission: Mission, ledger: Ledger) -> None:
 
 
 def stated_date(mission: Mission) -> str | None:
-    """The date that a mission file states: that of its orientations, else its own."""
+    """The date that a mission file states, for its orientations or else for the mission."""
     orientation = mission.stations.orientation
     if orientation is not None and orientation.date is not None:
         return orientation.date
@@ -61,7 +62,7 @@ def stated_date(mission: Mission) -> str | None:
 
 
 def key_of_date(mission: Mission) -> str:
-    """The key of `stated_date`."""
+    """The key of the mission file from which `stated_date` takes the date."""
     orientation = mission.stations.orientation
     if orientation is not None and orientation.date is not None:
         return "stations.orientation.date"
@@ -69,10 +70,10 @@ def key_of_date(mission: Mission) -> str:
 
 
 def flight_hour(mission: Mission, stations: Stations, flight_ns: int | None) -> float | None:
-    """The local mean solar time [h] at which a mission was flown.
+    """The local mean solar time [h] at which a mission was flown; ``flight_ns`` is its UTC.
 
-    None where the exposures have no UTC and the mission file states no time of the day, or where
-    the longitude is not known.
+    None if the exposures have no UTC and the stated date has no time of the day, or if the date or
+    the longitude is unknown.
     """
     date = stated_date(mission)
     have_utc = middle_time_ns(stations.utc_ns) is not None
@@ -82,15 +83,16 @@ def flight_hour(mission: Mission, stations: Stations, flight_ns: int | None) -> 
 
 
 def doubt_of_date(mission: Mission, stations: Stations, soundings: Sequence[Sounding]) -> str:
-    """Why the stated date of a flight may be wrong, in words for messages on sources far from it.
+    """Why the stated date of a flight may be wrong, as text for messages on sources far from it.
 
-    Empty where exposures have a UTC, where a source is near the date, and without dated sources.
+    Doubted is a date from which all dated soundings and surface reports are far. The text is empty
+    if one of them is near, if none has a date, or if the exposures have UTC.
     """
     date = stated_date(mission)
     if date is None or middle_time_ns(stations.utc_ns) is not None:
         return ""
-    near = _sources_near(date, mission.atmosphere, soundings)
-    if not near or any(near):
+    sources_near = _sources_near(date, mission.atmosphere, soundings)
+    if not sources_near or any(sources_near):
         return ""
     key = key_of_date(mission)
     day = datetime.fromisoformat(date).date().isoformat()
@@ -102,7 +104,7 @@ def doubt_of_date(mission: Mission, stations: Stations, soundings: Sequence[Soun
 
 
 def with_day_and_month_exchanged(date: str) -> str | None:
-    """A stated date with its day as the month; None where there is no such month, or no change.
+    """A stated date with day and month exchanged; None if the day is no month, or equals it.
 
     >>> with_day_and_month_exchanged("2025-12-06T09:40:00Z")
     '2025-06-12T09:40:00+00:00'
@@ -121,9 +123,9 @@ def with_day_and_month_exchanged(date: str) -> str | None:
 def _sources_near(
     date: str, section: AtmosphereSection, soundings: Sequence[Sounding]
 ) -> list[bool]:
-    """Of each sounding and report that has a time, whether it is near a date.
+    """Whether each sounding and surface report is near a date; those without a time are left out.
 
-    A METAR without a date has only the day of the month: it is of the month that is nearest.
+    A METAR has only the day of the month: it is dated in the month that is nearest to the date.
     """
     date_ns = nanoseconds_of_date(date)
     times_ns = [sounding.time_ns for sounding in soundings]
@@ -133,17 +135,17 @@ def _sources_near(
             report = decode_metar(station.metar, "atmosphere.surface")
             time_ns = time_of_metar(report, date_ns, "atmosphere.surface")
         times_ns.append(time_ns)
-    near = []
+    is_near = []
     for time_ns in times_ns:
         if date_ns is not None and time_ns is not None:
-            near.append(abs(time_ns - date_ns) <= FARTHEST_FROM_DATE_NS)
-    return near
+            is_near.append(abs(time_ns - date_ns) <= FARTHEST_FROM_DATE_NS)
+    return is_near
 
 
 def refuse_dated_sources(soundings: Sequence[Sounding], section: AtmosphereSection) -> None:
-    """Refuse (InputError FLIGHT-UNDATED) sources that have a time, where the flight has none.
+    """Refuse (InputError FLIGHT-UNDATED) soundings and surface reports that have a time.
 
-    How old they are is unknown, and a guess would make them near.
+    Called for a flight without a time: how old these sources are is unknown then.
     """
     dated = [sounding.name for sounding in soundings if sounding.time_ns is not None]
     for number, station in enumerate(section.surface):

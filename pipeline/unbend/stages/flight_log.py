@@ -1,4 +1,4 @@
-"""The flight log of a mission: its channels in their roles, its heights, its contradictions."""
+"""The flight log of a mission: the channel of each role, the heights, and contradictions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -52,52 +52,55 @@ class GroundTrack(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
-    """A log after its channels were given their roles; these hold plausible values only.
+    """A log with a channel for each role; the channels of roles have plausible values only.
 
-    log : None where stations come from elsewhere.
-    roles : the channel of each role; of a trajectory, where that replaces the log's.
-    own : the channel of each role as the log alone fills them.
-    suspect, own_suspect : stretches in which ``roles`` and ``own`` are contradicted.
-    heads : the attitude of each camera that has a gimbal of its own.
+    log : None if stations come from elsewhere.
+    channels : all channels of the log that may play roles.
+    roles : the channel of each role; the trajectory in the roles that it replaces.
+    logged_roles : the channel of the log for each role, also where a trajectory replaces it.
+    suspect, logged_suspect : stretches in which ``roles`` and ``logged_roles`` are contradicted.
+    gimbal_attitudes : by camera, the attitude of its gimbal, if the mission file names one for it.
     """
 
     log: Log | None
     channels: tuple[Channel, ...]
     roles: Roles
-    own: Roles
+    logged_roles: Roles
     heights: HeightSystem
     suspect: tuple[Stretch, ...] = ()
-    own_suspect: tuple[Stretch, ...] = ()
+    logged_suspect: tuple[Stretch, ...] = ()
     accuracy: LogAccuracy = field(default_factory=LogAccuracy)
-    heads: Mapping[str, Channel] = field(default_factory=dict)
+    gimbal_attitudes: Mapping[str, Channel] = field(default_factory=dict)
 
     def roles_of(self, camera: str) -> Roles:
         """The channel of each role for one camera.
 
-        For a camera without a gimbal of its own they are ``self.roles``. With one (``heads``):
+        They are ``self.roles``. For a camera in ``gimbal_attitudes`` two of them differ:
 
-        * "attitude" is the channel of that gimbal;
-        * "aircraft_attitude" is that of ``self.roles``, if it has one; else the attitude of
-          ``self.roles``, unless this is a gimbal's, too;
-        * all other roles are those of ``self.roles``.
+        * "attitude" is the attitude of that gimbal;
+        * "aircraft_attitude", if ``self.roles`` has none, is the attitude of ``self.roles``, unless
+          this is of a gimbal, too.
         """
-        if camera not in self.heads:
+        if camera not in self.gimbal_attitudes:
             return self.roles
-        camera_roles = self.roles | {"attitude": self.heads[camera]}
+        camera_roles = self.roles | {"attitude": self.gimbal_attitudes[camera]}
         common_attitude = self.roles.get("attitude")
         if common_attitude is not None and not is_of_gimbal(common_attitude.source.message):
             camera_roles.setdefault("aircraft_attitude", common_attitude)
         return camera_roles
 
     def counts_from_boot(self, time_ns: Integers) -> Mask:
-        """(n,) which times count from a boot, because the log has no UTC then."""
+        """(n,) True for times that count from a boot of the autopilot, because the log has no UTC.
+
+        Missing times (`NO_TIME`), and all times without a log, are False.
+        """
         if self.log is None:
             return np.zeros(time_ns.shape, np.bool_)
         return np.asarray(~is_utc(time_ns) & (time_ns != NO_TIME), np.bool_)
 
     @property
     def track(self) -> GroundTrack | None:
-        """Where the aircraft was; None where no position is known."""
+        """Times and positions of the aircraft; None without a channel of positions."""
         position = self.roles.get("position")
         if position is None:
             return None
@@ -105,13 +108,16 @@ class FlightLog:
 
     @property
     def ground(self) -> GroundEvidence:
-        """What the log says of whether the aircraft stands on the ground."""
+        """Evidence of the log for when the aircraft is on the ground."""
         return GroundEvidence.of(self.channels)
 
     @property
     def air_roles(self) -> Roles:
-        """Roles for the air, at the log's own heights: a trajectory may lack climb and descent."""
-        return self.roles | self.own
+        """The channel of each role for samples of the air: that of the log, if it has one.
+
+        A trajectory is used only for roles that the log lacks: it may lack climb and descent.
+        """
+        return self.roles | self.logged_roles
 
 
 def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> FlightLog:
@@ -123,7 +129,7 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
     log = inputs.log if mission.log is not None else None
     if log is None and inputs.trajectory is None:
         heights = heights_of_roles(mission, inputs, {}, ledger)
-        return FlightLog(log=None, channels=(), roles={}, own={}, heights=heights)
+        return FlightLog(log=None, channels=(), roles={}, logged_roles={}, heights=heights)
 
     channels = channels_of_log(mission, log, ledger)
     trajectory = read_trajectory(mission, inputs, channels, ledger)
@@ -131,32 +137,32 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
     if log is None and "attitude" not in replaced:
         raise messages.stations_without_attitude(where="stations.trajectory")
 
-    logged_roles = roles_of_channels(
+    unexamined_roles = roles_of_channels(
         mission, channels, replaced, has_log=log is not None, ledger=ledger
     )
-    heads = heads_of_cameras(mission, channels, ledger)
+    gimbal_attitudes = gimbals_of_cameras(mission, channels, ledger)
     if log is not None:
-        report_gimbals(mission, log, logged_roles, heads, ledger)
-    heights = heights_of_roles(mission, inputs, logged_roles, ledger)
+        report_gimbals(mission, log, unexamined_roles, gimbal_attitudes, ledger)
+    heights = heights_of_roles(mission, inputs, unexamined_roles, ledger)
     # Better sources of the log replace suspect samples.
-    examined_roles, own_suspect, notes = examine(channels, logged_roles)
+    logged_roles, logged_suspect, notes = examine(channels, unexamined_roles)
     ledger.extend(notes)
 
     # What the stations are built from: the log, or the trajectory where it replaces the log.
-    roles = dict(examined_roles)
-    suspect = own_suspect
+    roles = dict(logged_roles)
+    suspect = logged_suspect
     if trajectory is not None:
-        suspect = tuple(stretch for stretch in own_suspect if stretch.quantity not in replaced)
-        suspect += contradictions_of_import(trajectory, replaced, examined_roles, own_suspect)
+        suspect = tuple(stretch for stretch in logged_suspect if stretch.quantity not in replaced)
+        suspect += contradictions_of_import(trajectory, replaced, logged_roles, logged_suspect)
         compare_with_log(
             trajectory,
-            examined_roles,
+            logged_roles,
             heights,
             ledger,
             replaces=replaced,
             angle_order=angle_order_of_trajectory(mission),
         )
-        roles = with_trajectory(examined_roles, trajectory, replaced, ledger)
+        roles = with_trajectory(logged_roles, trajectory, replaced, ledger)
     ledger.extend(constant_sensors(roles))
     roles, accuracy = with_accuracy(roles, channels)
     evidence = GroundEvidence.of(channels)
@@ -165,30 +171,36 @@ def flight_log(mission: Mission, inputs: OpenedInputs, ledger: Ledger) -> Flight
         log=log,
         channels=channels,
         roles=roles,
-        own=examined_roles,
+        logged_roles=logged_roles,
         heights=heights,
         suspect=suspect,
-        own_suspect=own_suspect,
+        logged_suspect=logged_suspect,
         accuracy=accuracy,
-        heads=heads,
+        gimbal_attitudes=gimbal_attitudes,
     )
 
 
 def report_gimbals(
-    mission: Mission, log: Log, roles: Roles, heads: Mapping[str, Channel], ledger: Ledger
+    mission: Mission,
+    log: Log,
+    roles: Roles,
+    gimbal_attitudes: Mapping[str, Channel],
+    ledger: Ledger,
 ) -> None:
-    """Notes on the cameras without a gimbal of their own: whether one of the log turns them."""
-    mounts = {camera: mount for camera, mount in mission.mounts.items() if camera not in heads}
-    # By the counts of messages a log is reported whose gimbals are not used; ``heads`` use them.
-    message_counts = {} if heads else log.messages
+    """Note for each camera that is not in ``gimbal_attitudes`` if a gimbal of the log turns it."""
+    mounts = {
+        camera: mount for camera, mount in mission.mounts.items() if camera not in gimbal_attitudes
+    }
+    # With counts of messages, `gimbal_notes` reports that gimbals of the log are not used.
+    message_counts = {} if gimbal_attitudes else log.messages
     ledger.extend(gimbal_notes(message_counts, roles, mounts))
 
 
 def channels_of_log(mission: Mission, log: Log | None, ledger: Ledger) -> tuple[Channel, ...]:
-    """The channels of a log as the mission file states them, of the vehicle that flew it.
+    """The channels of the log that may play roles, with what the mission file states of them.
 
-    The attitude that ``log.channels`` names, and that of each mount, may be of a gimbal: its
-    channel then has the attitude of the payload.
+    Of a log of several vehicles they are those of the vehicle that flew the mission. A channel of a
+    gimbal that ``log.channels`` or a mount names as attitude gets the attitude of its payload.
     """
     section = mission.log
     if section is None or log is None:
@@ -207,17 +219,17 @@ def channels_of_log(mission: Mission, log: Log | None, ledger: Ledger) -> tuple[
 
 
 def names_of_roles(mission: Mission) -> dict[str, str]:
-    """The channels that the mission file names, by their roles."""
+    """The names of the channels that the mission file names, by role."""
     if mission.log is None:
         return {}
     return {role: channel.name for role, channel in mission.log.channels.named().items()}
 
 
 def stated_channels(mission: Mission, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
-    """The channels of the log with what the mission file states of them.
+    """The channels of the log, converted by what the mission file states of them.
 
-    Local positions are placed on the earth; circuit boards named as thermometers count as air;
-    values are converted from the units that the mission file states.
+    Local positions become latitudes and longitudes; the temperature of a circuit board that is
+    named as thermometer becomes that of the air; values are converted from stated units to SI.
     """
     section = mission.log
     if section is None:
@@ -230,15 +242,18 @@ def stated_channels(mission: Mission, channels: tuple[Channel, ...]) -> tuple[Ch
     if mission.atmosphere.board_temperature:
         board_roles.add("temperature")
     board_names = {named[role].name for role in board_roles & named.keys()}
-    channels_of_columns = []
+    converted = []
     for channel in channels:
         as_air = board_as_air(channel) if channel.name in board_names else channel
-        channels_of_columns.append(in_stated_units(as_air, named))
-    return tuple(channels_of_columns)
+        converted.append(from_stated_units(as_air, named))
+    return tuple(converted)
 
 
-def in_stated_units(channel: Channel, named: Mapping[str, NamedChannel]) -> Channel:
-    """A channel with the values of its roles in SI; ``named`` are channels and units by role."""
+def from_stated_units(channel: Channel, named: Mapping[str, NamedChannel]) -> Channel:
+    """A channel with values converted to SI from the units that the mission file states.
+
+    ``named`` has the name and unit of the channel of each role; a unit of None converts nothing.
+    """
     for role, named_channel in named.items():
         if named_channel.unit is not None and named_channel.name == channel.name:
             channel = in_stated_unit(channel, role, named_channel.unit)
@@ -246,9 +261,9 @@ def in_stated_units(channel: Channel, named: Mapping[str, NamedChannel]) -> Chan
 
 
 def board_as_air(channel: Channel) -> Channel:
-    """A barometer with the temperature of its circuit board as that of the air.
+    """A barometer with the temperature of its circuit board as temperature of the air, uncorrected.
 
-    A channel without a board, or with a thermometer, is returned as it is.
+    A channel without a temperature of the board, or with one of the air, is returned as it is.
     """
     board = channel.columns.get("board_temperature_k")
     if board is None or "temperature_k" in channel.columns:
@@ -264,7 +279,10 @@ def board_as_air(channel: Channel) -> Channel:
 def read_trajectory(
     mission: Mission, inputs: OpenedInputs, channels: tuple[Channel, ...], ledger: Ledger
 ) -> Channel | None:
-    """The trajectory of a mission as a channel; None where it names none."""
+    """The trajectory of a mission as a channel; None if it names none.
+
+    ``channels`` of the log give the time in which GPS weeks are looked for.
+    """
     section = mission.stations.trajectory
     if section is None or inputs.trajectory is None:
         return None
@@ -284,13 +302,13 @@ def read_trajectory(
 
 
 def angle_order_of_trajectory(mission: Mission) -> str:
-    """The order in which the angles of the trajectory turn; ZYX, the usual one, without any."""
+    """The order of rotations of the trajectory's angles; "ZYX", the usual one, without any."""
     section = mission.stations.trajectory
     return "ZYX" if section is None else section.angle_order
 
 
 def replaced_roles(mission: Mission, trajectory: Channel) -> tuple[str, ...]:
-    """The roles that a trajectory plays in place of the log: those stated, or all that it can.
+    """The roles that a trajectory plays instead of the log: those stated, else all that it can.
 
     Refuses (TRAJECTORY-REPLACES) a trajectory without the columns of a stated role.
     """
@@ -319,8 +337,8 @@ def roles_of_channels(
 ) -> Roles:
     """The channel of the log in each role, with its plausible samples only.
 
-    ``replaced`` are roles that a trajectory plays: the log need not fill them. Without a log no
-    role is missed.
+    ``replaced`` are roles that a trajectory plays: they may be missing in the log. Without a log
+    every role may be missing.
     """
     played_elsewhere = replaced if has_log else ("position", "attitude")
     assigned = ledger.take(
@@ -338,15 +356,16 @@ def roles_of_channels(
     return ledger.take(with_spares(plausible, channels, names_of_roles(mission)))
 
 
-def heads_of_cameras(
+def gimbals_of_cameras(
     mission: Mission, channels: tuple[Channel, ...], ledger: Ledger
 ) -> dict[str, Channel]:
-    """The attitude of each camera with a gimbal of its own, ``mount.<camera>.attitude``.
+    """The attitude of the gimbal that the mission file names for a camera, by camera.
 
-    Refuses (CHANNEL-MISSING) a name that no channel with attitudes has.
+    The key is ``mount.<camera>.attitude``. Refuses (CHANNEL-MISSING) the name of a channel that is
+    not in the log or has no attitudes.
     """
     attitudes = {channel.name: channel for channel in channels if channel.fits_role("attitude")}
-    heads = {}
+    gimbal_attitudes = {}
     for camera, section in mission.mount.items():
         name = section.attitude
         if name is None:
@@ -355,17 +374,17 @@ def heads_of_cameras(
             raise messages.attitude_channel_missing(
                 where=f"mount.{camera}.attitude", name=name, there=", ".join(attitudes) or "none"
             )
-        head = ledger.take(plausible_samples(attitudes[name], "attitude"))
+        attitude = ledger.take(plausible_samples(attitudes[name], "attitude"))
         mount: Mount = mission.mounts[camera]
-        ledger.extend(gimbal_notes({}, {"attitude": head}, {camera: mount}))
-        heads[camera] = head
-    return heads
+        ledger.extend(gimbal_notes({}, {"attitude": attitude}, {camera: mount}))
+        gimbal_attitudes[camera] = attitude
+    return gimbal_attitudes
 
 
 def heights_of_roles(
     mission: Mission, inputs: OpenedInputs, roles: Roles, ledger: Ledger
 ) -> HeightSystem:
-    """How the heights of a log, above sea level and above the ellipsoid, relate."""
+    """How heights above sea level, above the ellipsoid and above the take-off relate."""
     return ledger.take(
         height_system(
             roles,
@@ -377,20 +396,21 @@ def heights_of_roles(
 
 
 def with_trajectory(
-    own: Roles, trajectory: Channel, replaced: tuple[str, ...], ledger: Ledger
+    logged_roles: Roles, trajectory: Channel, replaced: tuple[str, ...], ledger: Ledger
 ) -> Roles:
-    """The roles with the trajectory in the ``replaced`` ones, and the log's ``own`` in the others.
+    """The channel of each role: the trajectory in the ``replaced`` roles, the log's in the others.
 
-    A log without heights gets those of the trajectory along with its positions. The ledger names
-    what the trajectory gives.
+    If the trajectory replaces the position, and the log has no heights, it gives the heights too.
+    A note names the roles of the trajectory.
     """
     played = list(replaced)
-    if "position" in replaced and "height" not in {*replaced, *own}:
+    if "position" in replaced and "height" not in {*replaced, *logged_roles}:
         played.append("height")
-    roles = dict(own)
+    roles = dict(logged_roles)
     for role in played:
         roles[role] = ledger.take(plausible_samples(trajectory, role))
-    former = ", ".join(f"{role} of {own[role].name}" for role in played if role in own)
+    former_roles = [role for role in played if role in logged_roles]
+    former = ", ".join(f"{role} of {logged_roles[role].name}" for role in former_roles)
     ledger.add(
         messages.trajectory_replaces(
             where="stations.trajectory",
@@ -403,13 +423,13 @@ def with_trajectory(
 
 
 def time_range(channels: tuple[Channel, ...]) -> tuple[int, int] | None:
-    """First and last time [Unix ns] of the positions of a log, or of all channels without these.
+    """First and last time [Unix ns] of the channels with positions, or of all if none has these.
 
-    None for a log without samples.
+    None if no channel has samples.
     """
-    filled = [channel for channel in channels if len(channel)]
-    positions = [channel for channel in filled if channel.fits_role("position")]
-    timed = positions or filled
+    with_samples = [channel for channel in channels if len(channel)]
+    positions = [channel for channel in with_samples if channel.fits_role("position")]
+    timed = positions or with_samples
     if not timed:
         return None
     first = min(int(channel.time_ns[0]) for channel in timed)

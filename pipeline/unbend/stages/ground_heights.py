@@ -1,4 +1,4 @@
-"""Heights of the observed points, batch by batch, from any source of a mission file."""
+"""Sources of the heights of observed points: one class for each kind, read batch by batch."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -21,12 +21,12 @@ from unbend.units import Array, Integers
 
 @dataclass(frozen=True, eq=False)
 class GivenGround:
-    """Heights that are given: one for all points, or a column of the observations.
+    """Stated heights: one for all points, or a column of the observations.
 
-    constant_m : the one height; None where there is a column.
-    offset_m : (s,) what to add at each station to have heights above sea level: minus the
-        undulation for ellipsoidal heights, the take-off's height for relative ones.
-    sigma_m : the standard deviation of all heights, where the mission file states one.
+    constant_m : the height of all points [m]; None if there is a column.
+    offset_m : (s,) added at each station [m] to get heights above sea level: minus the undulation
+        for ellipsoidal heights, the height of the take-off for relative heights.
+    sigma_m : the standard deviation of all heights [m]; None if the mission file states none.
     """
 
     constant_m: float | None
@@ -36,42 +36,51 @@ class GivenGround:
     def heights(
         self, batch: Batch, station: Integers, setup: CorrectionSetup | None = None
     ) -> GroundHeights:
-        """(n,) heights above sea level [m], NaN where implausible; counts the implausible ones."""
-        given = batch.ground
-        if given is None:
-            given = np.full(len(batch), self.constant_m, dtype=np.float64)
-        plausible = plausible_heights(given)
-        # A station of -1 is no station: it takes the last offset, NaN, which then counts as 0. The
-        # height is of no use, because such an observation gets the status no_station.
+        """(n,) heights above sea level [m], NaN where the stated ones are unknown or implausible.
+
+        The result also has the count of the implausible ones.
+        """
+        stated_m = batch.ground
+        if stated_m is None:
+            stated_m = np.full(len(batch), self.constant_m, dtype=np.float64)
+        plausible = plausible_heights(stated_m)
+        # The station -1 (no station) gets the last offset, NaN, which is replaced by 0. The height
+        # is not used, because such an observation gets the status no_station.
         offset = np.append(self.offset_m, np.nan)[station]
         h_m = plausible + np.where(station < 0, 0.0, offset)
-        is_implausible = np.isfinite(given) & np.isnan(plausible)
+        is_implausible = np.isfinite(stated_m) & np.isnan(plausible)
         return GroundHeights(
             h_m,
-            sigmas_given(batch, self.sigma_m),
+            sigmas_of_heights(batch, self.sigma_m),
             implausible=int(np.count_nonzero(is_implausible)),
         )
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The lowest and highest height above sea level [m]: of the constant, or of all land."""
+        """The lowest and highest height above sea level [m]: of the constant at any station.
+
+        With a column they are the limits of all land.
+        """
         if self.constant_m is None:
             return LOWEST_GROUND_M, HIGHEST_GROUND_M
         offset = self.offset_m[np.isfinite(self.offset_m)]
         if offset.size == 0:
-            offset = np.zeros(1)  # no station has one
+            offset = np.zeros(1)  # no station has a known offset
         return self.constant_m + float(offset.min()), self.constant_m + float(offset.max())
 
 
 @dataclass(frozen=True, eq=False)
 class SlantRangeGround:
-    """Heights at which the slant ranges end; ``sigma_m`` as for `GivenGround`."""
+    """Heights at which the slant ranges of the observations end.
+
+    ``sigma_m`` is the standard deviation of all heights [m], None if the mission file states none.
+    """
 
     sigma_m: float | None = None
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
 
     def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
-        """(n,) heights above sea level [m] of the ends of the chords; NaN without a distance."""
+        """(n,) heights above sea level [m] where slant ranges end; NaN without a slant range."""
         h_g = np.full(len(batch), np.nan)
         if batch.distance_m is not None:
             for rows, camera, profile in setup.groups(station):
@@ -85,30 +94,30 @@ class SlantRangeGround:
                     table=setup.rays[profile],
                     ideal=setup.direction == "apply",
                 )
-        return GroundHeights(plausible_heights(h_g), sigmas_given(batch, self.sigma_m))
+        return GroundHeights(plausible_heights(h_g), sigmas_of_heights(batch, self.sigma_m))
 
 
 @dataclass(frozen=True, eq=False)
 class ComputedGround:
     """Heights that were computed before the correction.
 
-    of_rows : (2, rows) heights above sea level, and below them their sigmas [m], of all rows of the
-        observation table.
+    h_and_sigma_m : (2, rows) for all rows of the observation table: heights above sea level, and
+        their sigmas [m].
     """
 
-    of_rows: Array
+    h_and_sigma_m: Array
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
 
     def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
         """(n,) heights above sea level [m]; NaN if none was computed or it is implausible."""
-        h_m, sigma_m = np.array(self.of_rows[:, batch.rows])
+        h_m, sigma_m = np.array(self.h_and_sigma_m[:, batch.rows])
         return GroundHeights(plausible_heights(h_m), sigma_m)
 
 
-def sigmas_given(batch: Batch, sigma_m: float | None) -> Array:
-    """(n,) standard deviations [m] of ground heights: a batch's column, or ``sigma_m`` for all.
+def sigmas_of_heights(batch: Batch, sigma_m: float | None) -> Array:
+    """(n,) standard deviations [m] of ground heights: the column of a batch, else ``sigma_m``.
 
-    NaN where neither is known.
+    NaN if neither is known.
     """
     if batch.ground_sigma is not None:
         return batch.ground_sigma
@@ -121,13 +130,14 @@ def plausible_heights(height_m: Array) -> Array:
     return np.where(plausible, height_m, np.nan)
 
 
-LARGEST_SLOPE_FACTOR = 20.0  # of `Landings.error_factor`, where a ray grazes a slope
+LARGEST_SLOPE_FACTOR = 20.0  # limit of `Landings.error_factor`, which grows where rays graze slopes
 
 
 class Landings(NamedTuple):
     """Where rays meet an elevation model, (n,) each.
 
-    error_factor : error of the height over the error of the model that causes it.
+    h_m : height above sea level; NaN where a ray does not meet the model.
+    error_factor : the error of ``h_m`` divided by the error of the model that causes it.
     distance_m : slant range.
     status : codes of `status_codes`.
     """
@@ -143,9 +153,9 @@ class TerrainGround:
     """Heights where rays first meet an elevation model.
 
     places : (s,) latitudes and longitudes of the stations [rad].
-    sigma_m : standard deviation of the heights of the model. The height at which a ray lands is
-        less certain on slopes that fall away from the camera: by 1 / (1 + tan slope tan zeta), with
-        a negative slope, at most 20 times.
+    sigma_m : standard deviation of the heights of the model [m]; None if the mission file states
+        none. The height where a ray lands has this sigma times 1 / (1 + tan slope tan zeta), at
+        most 20: it is less certain on slopes that fall away from the camera (slope < 0).
     """
 
     model: ElevationModel
@@ -154,12 +164,12 @@ class TerrainGround:
     limits: tuple[float, float] = (LOWEST_GROUND_M, HIGHEST_GROUND_M)
 
     def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
-        """(n,) heights above sea level [m], and the status of rays that land nowhere."""
+        """(n,) heights above sea level [m], slant ranges, and the status of rays that miss it."""
         landings = self.landings(batch.x_px, batch.y_px, station, setup)
         slope_factor = np.minimum(landings.error_factor, LARGEST_SLOPE_FACTOR)
         return GroundHeights(
             landings.h_m,
-            sigmas_given(batch, self.sigma_m) * slope_factor,
+            sigmas_of_heights(batch, self.sigma_m) * slope_factor,
             landings.status.astype(np.uint8),
             distance_m=landings.distance_m,
         )
@@ -167,7 +177,10 @@ class TerrainGround:
     def landings(
         self, x_px: Array, y_px: Array, station: Integers, setup: CorrectionSetup
     ) -> Landings:
-        """Where the rays of pixels meet the model."""
+        """Where the rays of pixels meet the model; NaN for pixels without a camera.
+
+        ``station`` (n,) is the number of each pixel's station, -1 without one.
+        """
         columns = np.full((len(Landings._fields), station.size), np.nan)  # a row for each field
         columns[Landings._fields.index("status")] = OK
         for rows, camera, profile in setup.groups(station):
@@ -188,7 +201,7 @@ class TerrainGround:
 def elevation_of_mission(
     inputs: OpenedInputs, heights: HeightSystem, ledger: Ledger
 ) -> ElevationModel | None:
-    """The elevation model above sea level, None where the mission file names none."""
+    """The elevation model of a mission, above sea level; None if the mission file names none."""
     if inputs.elevation is None:
         return None
     return ledger.take(inputs.elevation(undulation=heights.undulation))
@@ -201,10 +214,10 @@ def with_terrain(
     sigma_m: float | None,
     ledger: Ledger,
 ) -> CorrectionSetup:
-    """The setup with the heights of the elevation model as ground, if the mission has one.
+    """The setup with the elevation model as source of ground heights, if the mission has one.
 
-    ``sigma_m`` is the standard deviation of these heights. Refuses (DEM-OUTSIDE) a model that lies
-    under no station; a loss if it lies under some but not all.
+    ``sigma_m`` is the standard deviation of the model's heights [m]. Refuses (DEM-OUTSIDE) a model
+    that has no station in its area; a loss if only some stations are outside.
     """
     if model is None:
         return setup

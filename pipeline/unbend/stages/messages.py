@@ -1,4 +1,4 @@
-"""Messages of stages: what each code means, and the words of what is sent."""
+"""Messages of stages: the codes, and a function for each message or refusal with its text."""
 
 from collections.abc import Sequence
 
@@ -32,7 +32,10 @@ def stations_without_attitude(*, where: str) -> MissionError:
 
 
 def attitude_channel_missing(*, where: str, name: str, there: str) -> MissionError:
-    """The log has no attitudes of the name that a mount gives."""
+    """The mission file names a channel for a mount that the log lacks, or that has no attitudes.
+
+    ``there`` lists the channels with attitudes.
+    """
     return MissionError(
         CHANNEL_MISSING,
         "the log has no attitudes called {name!r}; it has {there}",
@@ -54,7 +57,7 @@ TRAJECTORY_REPLACES = Code(
 
 
 def trajectory_replaces(*, where: str, name: str, roles: str, former: str) -> Message:
-    """What a trajectory replaces."""
+    """A trajectory gives ``roles``; ``former`` is the text on what they were before."""
     return note(
         TRAJECTORY_REPLACES,
         "{name} gives {roles}, {former}",
@@ -66,7 +69,10 @@ def trajectory_replaces(*, where: str, name: str, roles: str, former: str) -> Me
 
 
 def trajectory_lacks_role(*, where: str, role: str, columns: str, able: str) -> MissionError:
-    """A trajectory lacks what it is to replace."""
+    """A trajectory lacks the ``columns`` of a role that it is stated to replace.
+
+    ``able`` lists the roles that it has.
+    """
     return MissionError(
         TRAJECTORY_REPLACES,
         "it has no {role} ({columns}); it has {able}",
@@ -87,7 +93,7 @@ EVENTS_POSITIONS = Code(
 
 
 def events_positions(*, where: str, count: int, name: str, camera: str, places: str) -> Message:
-    """A file gives the exposures of a camera."""
+    """A file gives the exposures of a camera; ``places`` is the text on its positions, or empty."""
     return note(
         EVENTS_POSITIONS,
         "{name} has the times of the exposures of {camera}{places}",
@@ -111,7 +117,11 @@ LOG_VEHICLES = Code(
 
 
 def vehicles_ambiguous(*, vehicles: Sequence[str], reason: str) -> MissionError:
-    """Neither events nor named channels say which vehicle flew the mission."""
+    """Neither events nor named channels show which vehicle flew the mission.
+
+    ``vehicles`` are described with their channels. ``reason`` names channels of several vehicles,
+    if these contradict each other; else it is empty.
+    """
     contradiction = f"; {reason} of several vehicles are named" if reason else ""
     return MissionError(
         LOG_VEHICLES,
@@ -125,7 +135,7 @@ def vehicles_ambiguous(*, vehicles: Sequence[str], reason: str) -> MissionError:
 
 
 def vehicle_chosen(*, vehicle: str, vehicles: Sequence[str], channel: str) -> Message:
-    """Of several vehicles of a log one flew the mission."""
+    """The log has several vehicles; ``channel`` shows that ``vehicle`` flew the mission."""
     return note(
         LOG_VEHICLES,
         "of {listed}, the channels of {vehicle} are used, because {channel} is used",
@@ -149,7 +159,7 @@ LOG_VEHICLES_MIXED = Code(
 
 
 def role_of_another_vehicle(*, role: str, channel: str, other: str, vehicle: str) -> Message:
-    """The mission file names a channel of another vehicle."""
+    """The mission file names a channel of ``other``, but ``vehicle`` flew the mission."""
     return finding(
         LOG_VEHICLES_MIXED,
         "{channel} is of {other}, the mission was flown by {vehicle}",
@@ -169,7 +179,7 @@ EVENTS_NONE = Code(
 
 
 def no_events(*, where: str, what: str) -> MissionError:
-    """A part of the mission file that its model requires is not there."""
+    """The mission names no source of exposures; ``what`` is the missing section."""
     return MissionError(
         EVENTS_NONE,
         "the mission names no {what}",
@@ -194,7 +204,7 @@ EVENTS_CAMERA = Code(
 
 
 def camera_unstated(*, where: str, cameras: str) -> MissionError:
-    """Nothing says which of several cameras the rows of a table are of."""
+    """Nothing states which of several cameras the rows of a table belong to."""
     return MissionError(
         EVENTS_CAMERA,
         "the camera of the rows of the table is not stated; the mission file has {cameras}",
@@ -265,7 +275,7 @@ EVENTS_ORDER = Code(
 
 
 def numbers_fall(*, where: str, count: int) -> MissionError:
-    """Images named by numbers that fall as time goes on."""
+    """Images are named by numbers of events, but ``count`` numbers decrease with time."""
     return MissionError(
         EVENTS_ORDER,
         (
@@ -283,7 +293,7 @@ def numbers_fall(*, where: str, count: int) -> MissionError:
 
 
 def most_numbers_fall(*, where: str, count: int, total: int) -> Message:
-    """Most numbers or names fall as time goes on."""
+    """Most numbers or names of a file decrease with time: ``count`` of ``total`` events."""
     return warning(
         EVENTS_ORDER,
         (
@@ -385,7 +395,7 @@ def ground_by_default(*, where: str, height: str, reference: str) -> Message:
 
 
 def columns_not_used(*, where: str, count: int, unused: str, used: str) -> Message:
-    """Columns with values of a table of stations that says the same in several ways."""
+    """A table of stations states the same in several columns, and only ``used`` are used."""
     return warning(
         TABLES_DEFAULT,
         (
@@ -400,7 +410,7 @@ def columns_not_used(*, where: str, count: int, unused: str, used: str) -> Messa
 
 
 def orientation_not_used(*, where: str, count: int, keys: str) -> Message:
-    """Keys of an orientation that is stated beside the stations of a run, which have their own."""
+    """``orientation`` is stated in addition to the stations of a run, which do not need it."""
     return warning(
         TABLES_DEFAULT,
         (
@@ -414,7 +424,7 @@ def orientation_not_used(*, where: str, count: int, keys: str) -> Message:
 
 
 def date_before_times(*, where: str, date: str) -> Message:
-    """A stated date goes before the times of the table of stations."""
+    """A stated date is used instead of the times in the table of stations."""
     return warning(
         TABLES_DEFAULT,
         (
@@ -499,7 +509,10 @@ def neighbouring_zone(
     neighbour_deg: float,
     neighbour_km: float,
 ) -> Message:
-    """Soundings are far from the stations, and near them in the neighbouring zone."""
+    """Soundings are far from the stations, but would be near in the neighbouring UTM zone.
+
+    ``away_km`` and ``neighbour_km`` are distances to the nearest sounding in the two zones.
+    """
     return finding(
         PLAUSIBLE_ZONE,
         (
@@ -520,7 +533,7 @@ def neighbouring_zone(
 
 
 def flight_without_time(*, where: str) -> InputError:
-    """No station has a time and a place to take a weather model at."""
+    """No station has both a time and a place, so the weather model cannot be evaluated."""
     return InputError(
         MODEL_TIME,
         "no station has a UTC and a place, so the weather model cannot be evaluated",
@@ -561,7 +574,7 @@ FLIGHT_HOUR = Code(
 
 
 def flight_of_unknown_hour(*, where: str, date: str) -> Message:
-    """The day of a flight is known, and its hour is not."""
+    """The date of a flight is known, but not its hour."""
     return note(
         FLIGHT_HOUR,
         "the hour of the flight is unknown, which makes the air less certain: write the time in "
@@ -572,7 +585,7 @@ def flight_of_unknown_hour(*, where: str, date: str) -> Message:
 
 
 def sources_of_undated_flight(*, where: str) -> InputError:
-    """Soundings or reports are named, and the day of the flight is not known."""
+    """Soundings or reports are named, but the date of the flight is unknown."""
     return InputError(
         FLIGHT_UNDATED,
         (
@@ -607,12 +620,12 @@ def date_contradicted(*, stated: str, flown: str) -> Message:
 
 
 def stated_date_in_doubt(*, date: str, key: str) -> str:
-    """For messages on sources of another time: the stated date of the flight may be wrong."""
+    """Text to append to messages on sources far in time: the stated date may be wrong."""
     return f"; or the stated date {date} ({key}) is wrong"
 
 
 def stated_date_exchanged(*, date: str, key: str, exchanged: str) -> str:
-    """For messages on sources of another time: these fit the date with day and month exchanged."""
+    """Text to append to messages on sources far in time: they fit with day and month exchanged."""
     return (
         f"; or the stated date {date} ({key}) is wrong: with day and month exchanged, {exchanged}, "
         "it fits"
@@ -668,7 +681,7 @@ SURFACE_CLIMATE = Code(
 def surface_temperature_unlikely(
     *, where: str, celsius: float, height_m: float, sigmas: float, expected_c: float, rather: str
 ) -> InputError:
-    """A temperature that the climatology rules out."""
+    """A temperature is too far from the climatology; ``rather`` is a hint in words, or empty."""
     return InputError(
         SURFACE_CLIMATE,
         (
@@ -719,7 +732,7 @@ SURFACE_LEVEL = Code(
 def surface_pressure_unlikely(
     *, where: str, hpa: float, height_m: float, sigmas: float, expected_hpa: float, rather: str
 ) -> InputError:
-    """A pressure that the climatology rules out."""
+    """A pressure is too far from the climatology; ``rather`` is a hint in words, or empty."""
     return InputError(
         SURFACE_LEVEL,
         (
@@ -751,7 +764,7 @@ CABIN_BOARD = Code(
 
 
 def cabin_board(*, where: str, count: int, name: str, warmer: float, sigma: float) -> Message:
-    """The board of a barometer stands for the air in the cabin."""
+    """The cabin's temperature is that of a barometer's circuit board, minus ``warmer`` [K]."""
     return fallback(
         CABIN_BOARD,
         (
@@ -775,7 +788,7 @@ CABIN_DRY = Code(
 
 
 def cabin_dry(*, where: str, count: int) -> Message:
-    """The air of a cabin is taken as dry."""
+    """The humidity in a cabin is unknown, so its air is treated as dry."""
     return fallback(
         CABIN_DRY,
         "no humidity in the cabin for {count} exposures: its air is treated as dry",
@@ -799,7 +812,7 @@ CABIN_IMPLAUSIBLE = Code(
 def cabin_implausible(
     *, where: str, count: int, name: str, oddity: str, hpa: float, celsius: float
 ) -> Message:
-    """Pressure or temperature are those of no cabin."""
+    """The pressure or temperature in a cabin is not plausible; ``oddity`` names which."""
     return warning(
         CABIN_IMPLAUSIBLE,
         (
@@ -820,7 +833,7 @@ def cabin_implausible(
 
 
 def cabin_pressurised(*, where: str, count: int, camera: str, name: str, hpa: float) -> Message:
-    """A cabin said to be open has much more pressure than the air outside."""
+    """A barometer reads ``hpa`` more than outside, but the cabin is stated as unsealed."""
     return finding(
         CABIN_IMPLAUSIBLE,
         (
@@ -857,7 +870,7 @@ CABIN_SCHEDULE = Code(
 
 
 def cabin_schedule(*, where: str) -> Message:
-    """The cabin's air is that of a schedule."""
+    """The air in the cabin follows Gyer's schedule, because it was not measured."""
     return note(
         CABIN_SCHEDULE,
         (
@@ -877,7 +890,7 @@ CABIN_SCHEDULE_HIGH = Code(
 
 
 def cabin_schedule_high(*, where: str, count: int) -> Message:
-    """Exposures above the schedule of the cabin's pressure."""
+    """Exposures are above the height where the schedule of the cabin's pressure ends."""
     return warning(
         CABIN_SCHEDULE_HIGH,
         (
@@ -940,7 +953,7 @@ WAVELENGTH_FORMULA = Code(
 
 
 def wavelength_of_formula(*, where: str, index: str) -> MissionError:
-    """A wavelength that the formula of the refractive index does not know."""
+    """A wavelength is stated, but the formula of the index is for one fixed wavelength."""
     return MissionError(
         WAVELENGTH_FORMULA,
         "the air has the index {index!r}, which is for one fixed wavelength",
@@ -962,7 +975,7 @@ CAMERA_LIGHT = Code(
 
 
 def camera_light(*, where: str, count: int, lights: str, common_um: float) -> Message:
-    """Cameras with wavelengths of their own."""
+    """Cameras have their own wavelengths; ``lights`` lists them, others have ``common_um``."""
     return note(
         CAMERA_LIGHT,
         ("R of {lights}; profile.parquet and all other values of the air are for {common_um:g} um"),
@@ -987,7 +1000,7 @@ LENS_CHANGE = Code(
 def lens_change_absurd(
     *, where: str, name: str, change: float, principal_distance_px: float, hpa: float
 ) -> MissionError:
-    """A change of the principal distance that no air makes."""
+    """The air in a lens would change the principal distance [px] by more than is possible."""
     return MissionError(
         LENS_CHANGE,
         (
@@ -1018,7 +1031,7 @@ LENS_IN_AIR = Code(
 def lens_in_air(
     *, where: str, count: int, name: str, low: float, high: float, principal_distance_px: float
 ) -> Message:
-    """How much the air in a lens changes its principal distance."""
+    """The air in a lens changes its principal distance by ``low`` to ``high`` [px]."""
     return note(
         LENS_IN_AIR,
         (
@@ -1046,7 +1059,10 @@ LENS_TYPICAL = Code(
 
 
 def lens_typical(*, where: str, name: str, rate: float, sigma: float) -> Message:
-    """A lens that nobody measured is corrected as a typical one."""
+    """A lens without measured derivatives is corrected as a typical one.
+
+    ``rate`` +- ``sigma`` is its change of the principal distance per change of n.
+    """
     return fallback(
         LENS_TYPICAL,
         (
@@ -1078,7 +1094,7 @@ LENS_NOT_REMOVED = Code(
 
 
 def lens_not_removed(*, where: str, count: int, names: str) -> Message:
-    """Cameras whose principal distance is not corrected, where no exposure says how much it is."""
+    """The effect of the air in lenses is not removed, and its size is unknown."""
     return note(
         LENS_NOT_REMOVED,
         "the effect of the air in the lens on the principal distance of {names} is not removed",
@@ -1091,7 +1107,7 @@ def lens_not_removed(*, where: str, count: int, names: str) -> Message:
 def lens_left_in(
     *, where: str, count: int, names: str, ppm: float, sigma_ppm: float, corner_px: float
 ) -> Message:
-    """Cameras whose principal distance is not corrected, and what it would be in a typical lens."""
+    """The effect of the air in lenses is not removed; its size is that in a typical lens."""
     return note(
         LENS_NOT_REMOVED,
         (
@@ -1117,7 +1133,10 @@ OPENING_AIR = Code(
 
 
 def opening_air(*, where: str, name: str, warmer: float, sigma: float, excess: float) -> Message:
-    """A camera looks through an opening with air of its own."""
+    """The air in an opening before a camera differs from that outside, as stated.
+
+    It is ``warmer`` +- ``sigma`` [K], and its pressure is ``excess`` [hPa] higher.
+    """
     return note(
         OPENING_AIR,
         (
@@ -1141,7 +1160,7 @@ WINDOW_SPHERICAL = Code(
 
 
 def window_spherical(*, where: str, name: str) -> Message:
-    """A window that bends nothing."""
+    """A spherical window does not bend rays."""
     return note(
         WINDOW_SPHERICAL,
         "the window of {name} is a sphere around the projection centre: it does not bend rays",
@@ -1170,7 +1189,10 @@ WINDOW_MOUNT = Code(
 
 
 def window_by_mount(*, where: str, count: int, name: str, section: str, px: float) -> Message:
-    """A window in the frame of an aircraft whose attitude follows from the camera's."""
+    """A window is fixed to the aircraft, but the aircraft's attitude is not stated.
+
+    ``px`` is the shift of all points if the camera is turned by one degree in the aircraft.
+    """
     return warning(
         WINDOW_MOUNT,
         (
@@ -1240,7 +1262,11 @@ def no_station_on_model(
     row: float,
     column: float,
 ) -> MissionError:
-    """No station lies on the elevation model."""
+    """All stations are outside the elevation model.
+
+    ``row`` and ``column`` are those that the first station would have, at latitude ``north`` and
+    longitude ``east`` [deg]; ``rows`` and ``columns`` are the size of the model.
+    """
     return MissionError(
         DEM_OUTSIDE,
         (
@@ -1268,7 +1294,7 @@ def no_station_on_model(
 
 
 def stations_off_model(*, where: str, count: int, total: int) -> Message:
-    """Some stations lie outside the elevation model."""
+    """Some stations are outside the elevation model."""
     return loss(
         DEM_OUTSIDE,
         "{count} of {total} stations are outside the elevation model",
@@ -1294,7 +1320,7 @@ SIGMA_UNKNOWN = Code(
 
 
 def sigmas_unknown(*, where: str, count: int, missing: str) -> Message:
-    """Standard deviations that are missing from the sigma columns."""
+    """Some standard deviations are unknown, so the sigma columns do not contain their effect."""
     return note(
         SIGMA_UNKNOWN,
         (
@@ -1316,7 +1342,7 @@ OBS_DISTANCE = Code(
 
 
 def slant_ranges_invalid(*, where: str, count: int) -> Message:
-    """Slant ranges that are none."""
+    """Slant ranges are invalid and treated as missing."""
     return warning(
         OBS_DISTANCE,
         (
@@ -1337,7 +1363,7 @@ OBS_SIGMA = Code(
 
 
 def ground_sigmas_invalid(*, where: str, count: int) -> Message:
-    """Standard deviations of ground heights that are none."""
+    """Standard deviations of ground heights are invalid and treated as unknown."""
     return warning(
         OBS_SIGMA,
         (
@@ -1362,7 +1388,7 @@ OBS_GROUND_RANGE = Code(
 
 
 def ground_heights_invalid(*, where: str, count: int, low: float, high: float) -> Message:
-    """Heights of points that no ground has."""
+    """Heights of points are below or above all land (``low``, ``high`` [m])."""
     return loss(
         OBS_GROUND_RANGE,
         (
@@ -1385,7 +1411,7 @@ POINTS_MISSING = Code(
 
 
 def points_missing(*, where: str, count: int, rows: int) -> Message:
-    """Observations of points that the table of object points has not."""
+    """Observations are of points that the table of object points lacks."""
     return loss(
         POINTS_MISSING,
         (
@@ -1414,7 +1440,7 @@ OBS_NO_IMAGE = Code(
 
 
 def image_names_missing(*, where: str, count: int, total: int, first: str) -> Message:
-    """Rows whose cell in the column of images is empty."""
+    """Rows have an empty cell in the column of images."""
     return loss(
         OBS_NO_IMAGE,
         (
@@ -1445,7 +1471,7 @@ OBS_FLAGGED = Code(
 def observations_flagged(
     *, count: int, total: int, status: str, cause: str, examples: str
 ) -> Message:
-    """Observations that are not corrected."""
+    """Observations are not corrected; ``cause`` and ``examples`` are texts to append, or empty."""
     return loss(
         OBS_FLAGGED,
         "{count} of {total} observations are {status}{cause}{examples}",
@@ -1472,7 +1498,10 @@ OBS_BEYOND_GRAZING = Code(
 def observations_beyond_grazing(
     *, count: int, total: int, status: str, cause: str, examples: str
 ) -> Message:
-    """Observations that graze the ground."""
+    """Rays cross the height of their point twice, and the near crossing was used.
+
+    ``cause`` and ``examples`` are texts to append, or empty.
+    """
     return loss(
         OBS_BEYOND_GRAZING,
         "{count} of {total} observations are {status}{cause}{examples}; near branch used",
@@ -1496,7 +1525,10 @@ OBS_FAR_BRANCH = Code(
 def observations_on_far_branch(
     *, count: int, total: int, status: str, cause: str, examples: str
 ) -> Message:
-    """Observations on the far branch by their slant range."""
+    """Rays reach their point at the far crossing, by its slant range.
+
+    ``cause`` and ``examples`` are texts to append, or empty.
+    """
     return note(
         OBS_FAR_BRANCH,
         (
@@ -1526,7 +1558,10 @@ OBS_SEVERAL_CROSSINGS = Code(
 def several_crossings(
     *, where: str, count: int, total: int, status: str, cause: str, examples: str
 ) -> Message:
-    """Rays that meet the elevation model several times."""
+    """Rays meet the elevation model several times, and the first place was used.
+
+    ``cause`` and ``examples`` are texts to append, or empty.
+    """
     return warning(
         OBS_SEVERAL_CROSSINGS,
         (
@@ -1549,7 +1584,7 @@ def several_crossings(
 
 
 def cabin_pressure_missing(*, where: str, count: int, reason: str) -> Message:
-    """The pressure of a cabin is to come from the log, which has none; ``reason`` says so."""
+    """The log lacks the cabin pressure at some exposures; ``reason`` completes the sentence."""
     return loss(
         CABIN_MISSING,
         "{count} exposures have {reason}",
@@ -1561,7 +1596,11 @@ def cabin_pressure_missing(*, where: str, count: int, reason: str) -> Message:
 
 
 def cabin_temperature_assumed(*, kind: Kind, where: str, count: int, able: str) -> Message:
-    """No thermometer is in the cabin; a loss where the mission file says that one is logged."""
+    """Exposures have no cabin temperature, so it is assumed.
+
+    ``able`` is the text on channels that could give it. ``kind`` is a loss if the mission file
+    states that the temperature is logged, else a fallback.
+    """
     return message(
         kind,
         CABIN_TEMPERATURE,
@@ -1597,7 +1636,7 @@ OBS_UNIT = Code(
 def coordinates_without_pixels(
     *, where: str, percent: float, largest: float, likely: str
 ) -> InputError:
-    """Coordinates that are negative as often as not are no pixels."""
+    """Too many coordinates are negative for pixels; ``likely`` is their likely unit."""
     return InputError(
         OBS_UNIT,
         (
@@ -1617,7 +1656,7 @@ def coordinates_without_pixels(
 
 
 def coordinates_beyond_frame(*, where: str, unit: str, percent: float) -> InputError:
-    """Coordinates in a stated unit lie outside the image."""
+    """Too many coordinates, read in the stated unit, are outside the image."""
     return InputError(
         OBS_UNIT,
         "read in {unit}, {percent:.0f} % of the observations are outside the image",

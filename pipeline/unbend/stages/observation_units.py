@@ -1,4 +1,4 @@
-"""Whether the coordinates of the observations can be what the mission file says: pixels, or mm."""
+"""Whether the coordinates of the observations can be in the stated unit: px, mm or um."""
 
 import numpy as np
 
@@ -7,10 +7,10 @@ from unbend.stages import messages
 from unbend.tables.observations import Observations
 from unbend.units import Array
 
-LOOKED_AT = 20_000  # rows of the table
+CHECKED_ROWS = 20_000  # the first ones of the table
 FEWEST_ROWS = 10  # fewer may all be blunders
-NEGATIVE_SHARE = 0.25  # of x and of y, which pixels from the upper left corner never are
-SMALL_PART = 0.25  # of the image's pixels: numbers of millimetres reach no farther than this
+NEGATIVE_SHARE = 0.25  # of x and of y; pixels from the upper left corner are not negative
+SMALL_PART = 0.25  # of the image's size [px]: millimetres from the centre stay below this number
 OUTSIDE_SHARE = 0.5  # of the observations: more are outside the image only in a wrong unit
 FORMAT_PART = 0.6  # of the format [mm]: coordinates from its centre reach 0.5 of it
 MICROMETRES_PER_MM = 1e3
@@ -19,12 +19,12 @@ MICROMETRES_PER_MM = 1e3
 def refuse_other_unit(mission: Mission, observations: Observations) -> None:
     """Refuse (OBS-UNIT) coordinates that cannot be in the unit that the mission file states.
 
-    * Another unit than pixels: refused if, converted to pixels, more than half are outside the
-      image.
-    * Pixels, which count from a corner of the image: refused if x and y are both negative in a
-      quarter of the rows or more, and reach as far as another unit would (`likely_unit`).
+    * mm or um: refused if more than half of the observations, which are converted to pixels when
+      they are read, are outside the image.
+    * Pixels, which count from a corner of the image: refused if a quarter of the x and a quarter of
+      the y are negative, and their size fits millimetres or micrometres (`likely_unit`).
     """
-    batch = next(observations.batches(LOOKED_AT))
+    batch = next(observations.batches(CHECKED_ROWS))
     is_known = np.isfinite(batch.x_px) & np.isfinite(batch.y_px)
     if np.count_nonzero(is_known) < FEWEST_ROWS:
         return
@@ -58,10 +58,16 @@ def refuse_other_unit(mission: Mission, observations: Observations) -> None:
 
 
 def likely_unit(mission: Mission, xy: Array, size_px: float) -> str:
-    """The unit of coordinates (2, n) that count from the middle of the image; empty if pixels.
+    """The likely unit of coordinates ``xy`` (2, n) from the middle of an image: "mm", "um" or "".
 
-    By how far they reach: "mm" within the format of the image; "um" beyond its ``size_px``, but
-    within its format. If no format is known, "mm" within a quarter of ``size_px``.
+    ``size_px`` is the longer side of the largest image. The 99 % quantile L of the absolute
+    coordinates decides:
+
+    * "mm" if L is within the format of the camera in millimetres;
+    * "um" if L is more than ``size_px``, but within the format in micrometres;
+    * "" otherwise: they may be pixels.
+
+    Without a known format "mm" if L is less than a quarter of ``size_px``, else "".
     """
     largest = float(np.percentile(np.abs(xy), 99.0))
     formats_mm = [
@@ -72,4 +78,6 @@ def likely_unit(mission: Mission, xy: Array, size_px: float) -> str:
     reach_mm = FORMAT_PART * max(formats_mm)
     if largest < reach_mm:
         return "mm"
-    return "um" if size_px < largest < MICROMETRES_PER_MM * reach_mm else ""
+    if size_px < largest < MICROMETRES_PER_MM * reach_mm:
+        return "um"
+    return ""

@@ -1,4 +1,4 @@
-"""What a mission reads, opened: tables as values, and readers that wait for what the log says."""
+"""The opened inputs of a mission: tables as values, and readers that need values of the log."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -22,7 +22,10 @@ from unbend.tables.observations import Observations
 from unbend.units import Array, Names
 
 ChannelReader = Callable[[Stated, Ledger], Channel]
-"""Reads a trajectory, or exposures with positions, by what the mission file states of it."""
+"""Reads a trajectory, or exposures with positions, as a channel.
+
+Units and systems are those that the mission file states (`Stated`).
+"""
 
 
 class SoundingReader(Protocol):
@@ -31,28 +34,35 @@ class SoundingReader(Protocol):
     def __call__(
         self, ledger: Ledger, *, time_ns: int | None, latitude_rad: float, station_h_m: float
     ) -> Sounding:
-        """The sounding; of several launches in a file the one nearest in time."""
+        """The sounding; if its file has several launches, the one nearest to the flight in time.
+
+        ``time_ns`` and ``latitude_rad`` are those of the flight, the time None if unknown;
+        ``station_h_m`` is the stated height of the launch site above sea level, NaN if not stated.
+        """
 
 
 class ElevationReader(Protocol):
-    """Opens an elevation model; ``undulation`` (m,) of places [rad] brings it to sea level."""
+    """Opens an elevation model, and converts ellipsoidal heights to heights above sea level.
+
+    ``undulation`` gives the geoid's heights [m] (m,) at latitudes and longitudes [rad].
+    """
 
     def __call__(
         self, *, undulation: Callable[[Array, Array], Array]
     ) -> tuple[ElevationModel, Notes]:
-        """The model, and what is to be said of it."""
+        """The model above sea level, and notes on it."""
 
 
 class ModelReader(Protocol):
-    """Reads the part of a weather model that lies about a flight."""
+    """Reads the part of a weather model that surrounds a flight."""
 
     def __call__(self, area: FlightArea, ledger: Ledger) -> ModelField:
-        """The fields about the flight."""
+        """The fields in the area and time of the flight."""
 
 
 @dataclass(frozen=True, eq=False)
 class WeatherModel:
-    """A file of a weather model, by its ``name``."""
+    """The name of a weather model's file, for messages, and the function that reads it."""
 
     name: str
     read: ModelReader
@@ -60,7 +70,10 @@ class WeatherModel:
 
 @dataclass(frozen=True, eq=False)
 class ObjectPointTable:
-    """The user's table of points: names (p,), other columns by quantity; ``where`` it is from."""
+    """The user's table of points: names (p,), and columns (p,) by quantity.
+
+    ``where`` names the table in messages.
+    """
 
     name: pa.StringArray
     columns: Mapping[str, Array]
@@ -69,7 +82,7 @@ class ObjectPointTable:
 
 @dataclass(frozen=True, eq=False)
 class KnownImagePositions:
-    """Images, and (m, 3) their latitude, longitude [rad] and height [m]."""
+    """Names of images (m,), and (m, 3) their latitude, longitude [rad] and height [m]."""
 
     image: Names
     position: Array
@@ -77,7 +90,10 @@ class KnownImagePositions:
 
 @dataclass(frozen=True, eq=False)
 class BlockPoints:
-    """Object points of a block (p, 3) in the frame of its images; ``rows`` are its image points."""
+    """Object points of a block: names (p,), and positions (p, 3) in the frame of its images.
+
+    ``rows`` reads the block's image points, batch by batch.
+    """
 
     name: pa.StringArray
     position: Array
@@ -86,11 +102,13 @@ class BlockPoints:
 
 @dataclass(frozen=True, eq=False)
 class OpenedInputs:
-    """The inputs of a mission; None, or empty, where the mission file names none.
+    """The inputs of a mission; None or empty for each that the mission file does not name.
 
-    ``geoid`` is a grid of the user's own, ``camera_names`` the mission's cameras by what a block
-    calls them, ``camera_events`` read exposures with positions, by camera, ``block_places`` where
-    the files of blocks say that images were, beside their orientations.
+    geoid : the user's own grid; without it the package's grid is used.
+    camera_events : readers of exposures with positions, by camera.
+    camera_names : the mission's name of each camera, by its name in the block.
+    known_positions : of some images, which place the frame of a block or confirm it.
+    block_places : positions of images that a block's files give in addition to its orientations.
     """
 
     observations: Observations

@@ -60,11 +60,11 @@ AIR_PARAMETER = (
     "each of them along its own leading mode"
 )
 
-IN_VIEW = 0.05  # least cosine of the nadir angle of an axis that may have the nadir in its image
+IN_VIEW = 0.05  # cosine of the nadir angle of the axis; below it the nadir is in no image
 
 
 def observation_metadata(mission: Mission) -> dict[str, str]:
-    """What the Parquet metadata of the observations say, beside units and conventions."""
+    """Metadata of the Parquet table of observations, in addition to units and conventions."""
     removed = mission.refraction.direction == "remove"
     mark = REFRACTION_REMOVED if removed else REFRACTION_APPLIED
     metadata = {
@@ -92,25 +92,29 @@ def results_of_mission(
     lit_air: ProfileSeries,
     ledger: Ledger,
 ) -> ResultsRecord:
-    """What the manifest says of the results; ``causes`` are those of statuses of rows.
+    """The record of the results for the manifest.
 
-    ``lit_air`` are the profiles of the setup, each in the light of its cameras. Holds no clock, no
-    host name and no path: the same inputs give the same bytes.
+    ``causes`` has the likely cause of each status of rows; those of statuses that no row has are
+    left out. ``lit_air`` are the profiles of the setup, each in the light of its cameras. The
+    record has no clock time, host name or absolute path: the same inputs give the same bytes.
     """
-    flown = record_of_flight(stations, setup, statistics)
-    happened = {status: cause for status, cause in causes.items() if statistics.status.get(status)}
+    flight_record = record_of_flight(stations, setup, statistics)
+    causes_in_run = {}
+    for status, cause in causes.items():
+        if statistics.status.get(status):
+            causes_in_run[status] = cause
     return ResultsRecord(
         log=None if flight.log is None else record_of_log(flight.log),
         channels={role: channel.name for role, channel in sorted(flight.roles.items())},
         stations=dict(sorted(Counter(stations.status.tolist()).items())),
-        flight=flown,
+        flight=flight_record,
         heights=record_of_heights(mission, flight.heights, flight.roles, stations),
         profile=record_of_profile(air, stations),
         observations=ObservationsRecord(
             rows=statistics.rows,
             parts=statistics.parts,
             status=statistics.status,
-            causes=happened,
+            causes=causes_in_run,
         ),
         correction=statistics.correction(),
         sigma_budget=statistics.sigma_budget(setup.camera_number),
@@ -126,14 +130,14 @@ def results_of_mission(
             stations,
             lit_air,
             cameras=setup.cameras,
-            flown=flown.cameras,
+            flown=flight_record.cameras,
             effects=air.effects,
         ),
     )
 
 
 def record_of_log(log: Log) -> LogRecord:
-    """What was decoded of a log."""
+    """What was decoded from a log, and what was damaged or missing in it."""
     return LogRecord(
         format=log.format,
         messages=dict(log.messages),
@@ -152,7 +156,7 @@ def record_of_flight(
     ok = stations.ok
     time_ns = stations.utc_ns[ok & (stations.utc_ns != NO_TIME)]
     rows = statistics.sampled_rows()
-    # The last height is for rows without a station, whose station is -1.
+    # The extra last height, NaN, is for rows without a station: their station number is -1.
     station_height_m = np.append(np.where(ok, stations.h_msl_m, np.nan), np.nan)
     above_m = station_height_m[rows.station] - rows.h_g_m
     camera_of_row = setup.camera_number[rows.station]
@@ -163,14 +167,14 @@ def record_of_flight(
     return FlightRecord(
         begin_utc=utc_second(int(time_ns.min())) if time_ns.size else None,
         end_utc=utc_second(int(time_ns.max())) if time_ns.size else None,
-        latitude_deg=spread(np.degrees(stations.lat_rad[ok]), 6),
-        longitude_deg=spread(np.degrees(stations.lon_rad[ok]), 6),
-        h_msl_m=spread(stations.h_msl_m[ok], 1),
+        latitude_deg=lowest_median_highest(np.degrees(stations.lat_rad[ok]), 6),
+        longitude_deg=lowest_median_highest(np.degrees(stations.lon_rad[ok]), 6),
+        h_msl_m=lowest_median_highest(stations.h_msl_m[ok], 1),
         cameras=cameras,
     )
 
 
-def spread(values: Array, digits: int) -> list[float] | None:
+def lowest_median_highest(values: Array, digits: int) -> list[float] | None:
     """Lowest, median and highest of the known values, rounded; None without any."""
     known_values = values[np.isfinite(values)]
     if not known_values.size:
@@ -182,14 +186,17 @@ def spread(values: Array, digits: int) -> list[float] | None:
 
 
 def record_of_camera(name: str, camera: Camera, stations: Stations, above_m: Array) -> FlownCamera:
-    """A camera at its exposures; ``above_m`` are heights above the points that it sees."""
+    """A camera, and the median direction of the nadir at its exposures.
+
+    ``above_m`` are its heights above the points that it sees [m].
+    """
     of_camera = stations.camera == name
-    down = -matrices_of(stations.quaternion)[:, :, 2]
-    axis = down[stations.ok & of_camera]
-    axis = axis[np.isfinite(axis).all(axis=1)]
-    x, y, z = np.zeros(3)  # no direction: neither an angle nor a nadir in view
-    if len(axis):
-        x, y, z = np.median(axis, axis=0)
+    down = -matrices_of(stations.quaternion)[:, :, 2]  # (s, 3) the nadir in the camera frame
+    nadir = down[stations.ok & of_camera]
+    nadir = nadir[np.isfinite(nadir).all(axis=1)]
+    x, y, z = np.zeros(3)  # unknown: no angle, and no nadir in the image
+    if len(nadir):
+        x, y, z = np.median(nadir, axis=0)
     angle_deg = None
     norm = math.hypot(x, y, z)
     if norm > 0.0:
@@ -198,7 +205,7 @@ def record_of_camera(name: str, camera: Camera, stations: Stations, above_m: Arr
         exposures=int(of_camera.sum()),
         format_px=[camera.width_px, camera.height_px],
         principal_distance_px=float(f"{camera.fx_px:.10g}"),
-        height_above_ground_m=spread(above_m, 1),
+        height_above_ground_m=lowest_median_highest(above_m, 1),
         axis_nadir_angle_deg=angle_deg,
         nadir_px=nadir_pixel(camera, x, y, z),
         principal_point_px=[float(f"{camera.cx_px:.10g}"), float(f"{camera.cy_px:.10g}")],
@@ -206,10 +213,10 @@ def record_of_camera(name: str, camera: Camera, stations: Stations, above_m: Arr
 
 
 def nadir_pixel(camera: Camera, x: float, y: float, z: float) -> list[float] | None:
-    """The pixel of the nadir, which is in the direction (x, y, z) of a camera.
+    """The pixel of the nadir, which has the direction (x, y, z) in the camera frame.
 
-    None if the nadir is not before the camera. Beyond the largest radius of the camera's distortion
-    the pixel is that without distortion.
+    None if the nadir is not in front of the camera. Beyond the largest radius at which the
+    distortion is known, the pixel is computed without distortion.
     """
     if z <= IN_VIEW:
         return None
@@ -224,20 +231,23 @@ def nadir_pixel(camera: Camera, x: float, y: float, z: float) -> list[float] | N
 def record_of_heights(
     mission: Mission, heights: HeightSystem, roles: Roles, stations: Stations
 ) -> HeightsRecord:
-    """What all heights count from, what relates them, and how the vertical leans there."""
+    """What heights refer to, the undulation, and the deflection of the vertical.
+
+    ``log`` in the record lists which heights the log has: msl, ellipsoid.
+    """
     ground = mission.ground
     points = ground.points
     orientation = mission.stations.orientation
     height = roles.get("height")
-    of_log = []
+    logged_heights = []
     if height is not None:
         for name, column in (("msl", "h_msl_m"), ("ellipsoid", "h_ellipsoid_m")):
             if np.isfinite(height.columns.get(column, np.nan)).any():
-                of_log.append(name)
+                logged_heights.append(name)
     source = None if height is None else height.name
     return HeightsRecord(
         all="above mean sea level",
-        log=of_log,
+        log=logged_heights,
         stations=source if orientation is None else orientation.path,
         ground=GroundReference(ground.reference, None if points is None else points.crs),
         take_off_h_msl_m=heights.home_h_msl_m,
@@ -247,7 +257,7 @@ def record_of_heights(
 
 
 def record_of_undulation(heights: HeightSystem, stations: Stations) -> UndulationRecord:
-    """The limits of the undulation at the stations."""
+    """The least and largest undulation at the stations [m]; None if it is unknown."""
     undulation = (stations.h_ellipsoid_m - stations.h_msl_m)[stations.ok]
     undulation = undulation[np.isfinite(undulation)]
     return UndulationRecord(
@@ -260,25 +270,30 @@ def record_of_undulation(heights: HeightSystem, stations: Stations) -> Undulatio
 def record_of_deflection(
     heights: HeightSystem, stations: Stations, *, applies: bool
 ) -> DeflectionRecord:
-    """The deflection of the vertical at the stations, where a geoid gives it."""
+    """The median deflection of the vertical at the stations ["]; None without a geoid.
+
+    ``applies`` is True if the attitudes refer to the vertical, as those of a log do.
+    """
     geoid = heights.geoid
     if geoid is None:
         return DeflectionRecord(None, None, None, applies)
     ok = stations.ok
-    lean = np.array(geoid.deflection(stations.lat_rad[ok], stations.lon_rad[ok])) / ARCSEC
-    lean = lean[:, np.isfinite(lean).all(axis=0)]
-    if not lean.size:
+    # (2, s): north and east.
+    deflection = np.array(geoid.deflection(stations.lat_rad[ok], stations.lon_rad[ok])) / ARCSEC
+    deflection = deflection[:, np.isfinite(deflection).all(axis=0)]
+    if not deflection.size:
         return DeflectionRecord(geoid.name, None, None, applies)
-    north, east = np.median(lean, axis=1).tolist()
+    north, east = np.median(deflection, axis=1).tolist()
     return DeflectionRecord(geoid.name, round(north, 2), round(east, 2), applies)
 
 
 def air_parameter(
     setup: CorrectionSetup, statistics: Statistics, profiles: int
 ) -> AirParameter | None:
-    """The parameter of the leading mode of the air; None where no air has a covariance.
+    """The parameter of the leading mode of the air; None if no profile has a covariance.
 
-    ``profiles`` are those of the flight: the setup has each in the light of every camera.
+    ``profiles`` is the number of profiles of the flight; the setup may have more, one for each
+    wavelength.
     """
     modes = []
     for uncertainty in setup.uncertainties:
@@ -286,10 +301,10 @@ def air_parameter(
             modes.append(uncertainty.mode)
     if not modes:
         return None
-    mode = modes[0]  # all have one sigma, see `with_common_scale`
+    mode = modes[0]  # all modes have the same sigma, see `with_common_scale`
     if statistics.air_variance > 0.0:
         variance_share = mode.sigma**2 * statistics.by_mode / statistics.air_variance
-    else:  # no row has a sigma: the share in the rays that the mode was found from
+    else:  # no row has a sigma: take the share in the rays that the mode was computed for
         variance_share = mode.variance_share
     return AirParameter(
         scale_sigma=mode.sigma,
@@ -302,9 +317,10 @@ def air_parameter(
 def cabin_parameters(setup: CorrectionSetup) -> dict[str, CabinParameter]:
     """The refractivity in the cabin of each camera behind a plane window, and its sigma.
 
-    Both are means over the camera's exposures in the first profile that has standard deviations.
+    Refractivity is averaged over the camera's exposures in the first profile with standard
+    deviations; the sigma is the root mean square over them.
     """
-    uncertainty = next(filter(None, setup.uncertainties), None)
+    uncertainty = next(filter(None, setup.uncertainties), None)  # the first that is not None
     if uncertainty is None:
         return {}
     cameras = {}
@@ -325,7 +341,10 @@ def cabin_parameters(setup: CorrectionSetup) -> dict[str, CabinParameter]:
 
 
 def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
-    """The estimate of the air, its sources, and its difference from the standard atmosphere."""
+    """The estimate of the air, its sources, and its difference from the standard atmosphere.
+
+    The difference is that of the temperature at the median height of the stations in use [K].
+    """
     adjustment = air.adjustment
     profile = adjustment.profile
     standard = adjustment.standard
@@ -334,10 +353,10 @@ def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
     departure = None
     sigma_departure = None
     if heights.size:
-        level = float(np.median(heights))
-        departure = rounded(profile.temperature(level) - standard.temperature(level))
+        median_h_m = float(np.median(heights))
+        departure = rounded(profile.temperature(median_h_m) - standard.temperature(median_h_m))
         if adjustment.covariance is not None:
-            sigma_departure = rounded(adjustment.covariance.sigma_temperature(level))
+            sigma_departure = rounded(adjustment.covariance.sigma_temperature(median_h_m))
     return ProfileRecord(
         basis=adjustment.basis,
         reason=adjustment.reason,
@@ -358,13 +377,13 @@ def record_of_profile(air: FlightAir, stations: Stations) -> ProfileRecord:
 
 
 def rounded(value: Array) -> float | None:
-    """A number to three decimals, None where it is not known."""
+    """A single number rounded to three decimals; None if it is not finite."""
     number = float(np.squeeze(value))
     return round(number, 3) if math.isfinite(number) else None
 
 
 def record_of_source(use: SourceUse) -> FittedSource | OtherSource:
-    """How a source of the air was used, or why not."""
+    """How a source of the air was used, or why it was not used."""
     fit = use.fit
     if fit is None:
         return OtherSource(use.source, used=not use.why_not, why_not=use.why_not)
@@ -391,7 +410,7 @@ def record_of_samples(use: SensorUse) -> SamplesRecord:
 
 
 def record_of_sensor(estimate: FaultEstimate) -> SensorRecord:
-    """An estimated error of a sensor."""
+    """The estimated error of a sensor, in the unit in which it is reported."""
     fault = estimate.in_units()
     return SensorRecord(
         what=FAULT_TEXTS[fault.fault],
@@ -402,7 +421,7 @@ def record_of_sensor(estimate: FaultEstimate) -> SensorRecord:
 
 
 def record_of_window(window: TimeWindow, *, utc_known: bool) -> TimeWindowRecord:
-    """A part of a flight that was estimated on its own; without UTC it has no times."""
+    """A part of a flight that was estimated on its own; without UTC its times are None."""
     return TimeWindowRecord(
         start_utc=utc_second(window.start_ns) if utc_known else None,
         end_utc=utc_second(window.end_ns) if utc_known else None,
@@ -413,5 +432,5 @@ def record_of_window(window: TimeWindow, *, utc_known: bool) -> TimeWindowRecord
 
 
 def utc_second(time_ns: int) -> str:
-    """A time [Unix ns] as ISO 8601, to the second below."""
+    """A time [Unix ns] as text in ISO 8601, rounded down to a second."""
     return f"{np.datetime64(time_ns, 'ns').astype('datetime64[s]')}Z"

@@ -35,7 +35,7 @@ from unbend.flight.stations import (
 )
 from unbend.messages import Ledger, Message
 from unbend.stages import messages
-from unbend.stages.cabin_air import cabin_from_log
+from unbend.stages.cabin_air import with_logged_cabin
 from unbend.stages.exposure_events import exposure_events, read_positions
 from unbend.stages.flight_log import FlightLog, flight_log
 from unbend.stages.multi_image.image_events import assigned_stations
@@ -65,9 +65,10 @@ from unbend.units import DEGREE
 class StationBuilder:
     """Builds the stations of one camera at any times.
 
-    roles, suspect : the channels of the camera, and the stretches that contradict these.
-    offsets : a file of exposures with the way from the antenna to the camera at each; None where
-        the mount has the lever arm.
+    roles : the channel of each role for this camera.
+    suspect : stretches of time in which these channels are contradicted.
+    offsets : a file of exposures that has the vector from the antenna to the camera at each; None
+        if the lever arm of ``mount`` is used.
     clocks : how well the clock of the exposures agrees with those of the channels.
     """
 
@@ -85,15 +86,17 @@ class StationBuilder:
     def of(
         cls, mission: Mission, flight: FlightLog, camera: str, positions: Channel | None
     ) -> "StationBuilder":
-        """The builder for a camera.
+        """The builder for a camera; ``positions`` is its file of exposures with positions, or None.
 
-        A file of ``positions`` at the exposures, unless only its times are used, replaces the
-        channels of position and height, and that of the attitude if it has attitudes. Suspect are
-        then:
+        Such a file, unless only its times are used, replaces the channels of position and height,
+        and that of the attitude if it has attitudes. Suspect are then:
 
-        * stretches of the log's attitude, unless the file replaces it;
+        * suspect stretches of the log's attitude, unless the file replaces it;
         * stretches in which the log contradicts the position or the height of the file. Attitudes
           of a file are not compared with the log.
+
+        Refuses (EVENTS-OFFSETS) a file without the vectors from antenna to camera, if
+        ``lever_arm_m`` is from_events.
         """
         roles = flight.roles_of(camera)
         suspect = flight.suspect
@@ -105,7 +108,7 @@ class StationBuilder:
             else:
                 suspect = tuple(stretch for stretch in suspect if stretch.quantity == "attitude")
             suspect += contradictions_of_import(
-                positions, ("position", "height"), flight.own, flight.own_suspect
+                positions, ("position", "height"), flight.logged_roles, flight.logged_suspect
             )
         mount, needs_offsets = mount_of_camera(mission, camera)
         if needs_offsets and (positions is None or "offset_down_m" not in positions.columns):
@@ -124,7 +127,7 @@ class StationBuilder:
         )
 
     def stations(self, events: Events) -> Stations:
-        """The stations at some exposures; those in suspect stretches are not flagged yet."""
+        """The stations at some exposures; those in suspect stretches are not yet marked."""
         at_events = build_stations(
             events,
             self.roles,
@@ -137,7 +140,8 @@ class StationBuilder:
         offsets = self.offsets
         if offsets is None:
             return at_events
-        # The row of the nearest event: a delay moves all alike, by less than half an interval.
+        # Each station takes the offset of the event nearest in time: a delay is the same for all
+        # exposures, and less than half the time between two.
         between_ns = (offsets.time_ns[:-1] + offsets.time_ns[1:]) // 2
         row = np.searchsorted(between_ns, at_events.time_ns)
         north = offsets["offset_north_m"][row]
@@ -146,7 +150,7 @@ class StationBuilder:
         return at_events.moved(np.stack([east, north, -down], axis=1))
 
     def later(self, stations: Stations, seconds: float) -> Stations:
-        """The stations of the same images if these had been exposed some ``seconds`` later."""
+        """The stations of the same images as if they had been exposed ``seconds`` later."""
         time_ns = stations.time_ns + round(seconds * 1e9)
         return self.stations(Events(self.camera, stations.image, time_ns))
 
@@ -155,8 +159,8 @@ def clock_sigmas(mission: Mission, flight: FlightLog, roles: Mapping[str, Channe
     """How well the clock of a camera's exposures agrees with those of the channels in ``roles``.
 
     There are two clocks: that of the log, for its exposures and channels, and UTC, for exposures of
-    tables and files and for channels of trajectories. Between the two lies the sigma of the log's
-    UTC; on one clock the sigma is 0.
+    tables and files and for channels of trajectories. Between the two clocks the sigma is that of
+    the log's UTC (0 if unknown); on the same clock it is 0.
     """
     if flight.log is None or mission.events is None:
         return ONE_CLOCK
@@ -167,17 +171,17 @@ def clock_sigmas(mission: Mission, flight: FlightLog, roles: Mapping[str, Channe
     def sigma_s(role: str) -> float:
         channel = roles.get(role)
         if channel is None or (channel.name in logged) == events_in_log:
-            return 0.0  # on one clock
+            return 0.0  # no channel, or on the same clock as the exposures
         return utc_sigma_s
 
     return ClockSigmas(sigma_s("position"), sigma_s("height"), sigma_s("attitude"))
 
 
 def mount_of_camera(mission: Mission, camera: str) -> tuple[Mount, bool]:
-    """The mount of a camera, with the lever arm from the point whose positions are used.
+    """The mount of a camera with the lever arm from the point that the positions are of.
 
-    Also whether the stations need the way from the antenna to the camera that a file of events has
-    at each exposure; the mount then has no lever arm.
+    The second value is True if the stations need the vector from antenna to camera at each
+    exposure, which a file of events has; the mount then has the lever arm 0.
     """
     mount = mission.mounts[camera]
     without_arm = replace(mount, lever_arm_m=(0.0, 0.0, 0.0))
@@ -206,7 +210,11 @@ def stations_of_mission(
     terrain: ElevationModel | None,
     ledger: Ledger,
 ) -> Stations:
-    """Position, attitude and air of each exposure, or a status; checked by tie points."""
+    """Position, attitude and air of each exposure, checked by tie points; a row for each exposure.
+
+    Exposures that cannot be used have a status other than ok. Observed images without an exposure
+    are appended, with a status. ``terrain`` is for the checks.
+    """
     observations = inputs.observations
     refuse_other_unit(mission, observations)
 
@@ -224,7 +232,7 @@ def stations_of_mission(
         builders.append(builder)
         at_events.append(ledger.take(flagged))
 
-    # Of these the ones that have an image, camera by camera.
+    # The exposures that have an image, camera by camera.
     ties = draw_tie_points(observations, MOST_TIE_POINTS)
     report_repeated_points(observations, ties, ledger)
     exposed = at_events
@@ -240,7 +248,7 @@ def stations_of_mission(
             ledger=ledger,
         )
 
-    # The stations are those of the events, or a table says where the cameras were.
+    # The stations are those of the events, or those of the stated orientations.
     if mission.stations.orientation is None:
         stations = join_stations(exposed)
         refuse_other_readings_of_imports(
@@ -252,7 +260,7 @@ def stations_of_mission(
         stations = with_logged_aircraft(stations, flight.roles, mission.max_gap_s)
 
     def later(seconds: float) -> Stations:
-        """The stations as if all exposures had been some seconds later."""
+        """The stations as if all exposures had been ``seconds`` later."""
         moved = []
         for builder, camera_stations in zip(builders, exposed, strict=True):
             moved.append(builder.later(camera_stations, seconds))
@@ -276,21 +284,25 @@ def stations_of_mission(
 def findings_of_exposures(
     mission: Mission, flight: FlightLog, builder: StationBuilder, events: Events
 ) -> Iterator[Message]:
-    """Findings where the log's own exposure positions differ from the stations'."""
+    """Findings if positions that the log has of exposures differ from those of the stations.
+
+    Only for events of a log.
+    """
     if mission.events is None or mission.events.log is None:
         return
     source = mission.events.log[builder.camera]
-    # The log may give the places of its antenna (the mount's arm away from the camera), or of the
-    # camera itself (the arm of the positions that the stations are made of): the longer arm counts.
+    # The log's positions may be of its antenna or of the camera, and differ from the stations by
+    # one of two lever arms: the mission file's, or the one that the stations are built with. The
+    # longer one is allowed for.
     arms_m = [mission.mounts[builder.camera].lever_arm_m, builder.mount.lever_arm_m]
     yield from exposure_findings(
         ExposureEvidence(
             channel=exposures.choose_event_channel(flight.channels, source.channel),
             time_ns=events.time_ns,
             roles=builder.roles,
-            log_roles=flight.own,
+            log_roles=flight.logged_roles,
             accuracy=flight.accuracy,
-            suspect=(*builder.suspect, *flight.own_suspect),
+            suspect=(*builder.suspect, *flight.logged_suspect),
             lever_arm_m=max(float(np.linalg.norm(arm)) for arm in arms_m),
             max_gap_s=mission.max_gap_s,
         )
@@ -306,9 +318,10 @@ def refuse_other_readings_of_imports(
     stations: Stations,
     ties: TiePoints,
 ) -> None:
-    """Refuse (ORIENTATION-READING) imported angles if tie points meet far better by other readings.
+    """Refuse (ORIENTATION-READING) imported angles if another reading fits tie points far better.
 
-    ``exposed`` are the stations camera by camera, ``stations`` all of them.
+    Other readings are, for instance, another unit or order of the angles. ``exposed`` are the
+    stations camera by camera, ``stations`` the same in one table.
     """
     roads = list(roads_of_angles(mission, inputs, positions))
     if not roads:
@@ -318,10 +331,10 @@ def refuse_other_readings_of_imports(
         return
 
     def read_anew(road: AngleRoad, reading: AngleReading) -> Stations:
-        """The same stations by a file whose angles are read in another way."""
-        changed = road.inputs_as(reading.change)
-        changed_flight = flight_log(mission, changed, Ledger())
-        changed_positions = read_positions(mission, changed, changed_flight, Ledger())
+        """The same stations, from the file of ``road`` with its angles read in another way."""
+        changed_inputs = road.inputs_as(reading.change)
+        changed_flight = flight_log(mission, changed_inputs, Ledger())
+        changed_positions = read_positions(mission, changed_inputs, changed_flight, Ledger())
         parts = []
         for of_camera in exposed:
             if len(of_camera) == 0:
@@ -344,7 +357,7 @@ def refuse_other_readings_of_imports(
 
 
 def report_repeated_points(observations: Observations, ties: TiePoints, ledger: Ledger) -> None:
-    """Add a loss if points stand twice in an image; a block says so when it is opened."""
+    """Add a loss if points are observed twice in an image; for blocks this is done on opening."""
     if ties.repeated and not observations.is_block:
         ledger.add(
             points_repeated(
@@ -364,8 +377,8 @@ def matched_stations(
 ) -> Stations:
     """The stations, and after them a row for each observed image without an exposure.
 
-    Adds notes on images and stations that do not match, and on large sigmas. ``cameras`` have
-    exposures, though perhaps no station; ``observed`` are the observed images.
+    Adds notes on images and stations that do not match, and on large sigmas. ``cameras`` are those
+    with exposures, also if none of these became a station; ``observed`` are the observed images.
     """
     names = sorted({*stations.camera.tolist(), *cameras})
     images = {name: stations.image[stations.camera == name].tolist() for name in names}
@@ -387,10 +400,13 @@ def matched_stations(
 def with_cabins(
     mission: Mission, flight: FlightLog, stations: Stations, ledger: Ledger
 ) -> Stations:
-    """The stations with the air in the cabin, and flagged where a window's direction is unknown."""
+    """The stations with logged air of the cabins, marked if a window's direction is unknown.
+
+    The direction is unknown without the attitude of the aircraft, if the window is fixed to it.
+    """
     for name, window in mission.windows.items():
         if window.cabin is not None and mission.cameras[name].needs_cabin:
-            logged = cabin_from_log(stations, name, window.cabin, flight.channels, flight.roles)
+            logged = with_logged_cabin(stations, name, window.cabin, flight.channels, flight.roles)
             stations = ledger.take(logged)
         if window.frame == "body":
             stations = ledger.take(flag_missing_aircraft_attitude(stations, name))

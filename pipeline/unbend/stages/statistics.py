@@ -1,4 +1,4 @@
-"""Counts of a stream of observations, and the size of their corrections, in fixed memory."""
+"""Statistics of a stream of observations and their corrections, in fixed memory."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from unbend.tables.observations import Batch
 from unbend.units import ARCSEC, Array, evenly_spaced, round_step
 
 SAMPLED_ROWS = 20_000
-"""Rows that stand for all others, where what is plausible is looked at."""
+"""Evenly spaced rows of a run that are kept, to check plausibility and for medians."""
 
 SIGMA_PARTS = ("air", "station", "ground", "cabin")
-"""What makes corrections uncertain, each with columns of its own in the results."""
+"""Causes of the uncertainty of corrections; each has its own columns in the results."""
 
 MOST_EXAMPLES = 3
-"""Rows of a status that messages name."""
+"""Rows that a message names for each status."""
 
 ADDED = (
     "rows",
@@ -51,17 +51,17 @@ ADDED = (
     "sampled",
     "cabin_share",
 )
-"""Counts of `Statistics` that are added when parts are merged."""
+"""Fields of `Statistics` that `Statistics.merge` adds with +."""
 
 QUANTITIES = ("shift_px", "shift_ground_m", "refraction_arcsec", "window_arcsec")
 """What `ShiftStatistics` keeps distributions of."""
 
 _COLUMNS = 14
 _ROWS = 10
-"""Cells of the mean shift over an image."""
+"""Cells over an image; the mean shift of each is reported."""
 
-_GROUND_BINS = 24  # of the histogram of ground heights, about as many
-_FINEST_GROUND_BIN_M = 0.1
+_GROUND_BINS = 24  # about as many bins has the histogram of ground heights
+_FINEST_GROUND_BIN_M = 0.1  # least width of these bins
 
 
 @dataclass
@@ -80,25 +80,25 @@ class ShiftStatistics:
     )
 
     def add(self, x_px: Array, y_px: Array, corrections: Corrections) -> None:
-        """Add the corrections of points measured at (x, y); those without one do not count."""
-        good: Any = np.isfinite(corrections.dx_px)
-        if good.all():
-            good = slice(None)  # spares the copies
-        dx = corrections.dx_px[good]
-        dy = corrections.dy_px[good]
-        across = x_px[good] / self.width_px * _COLUMNS
-        down = y_px[good] / self.height_px * _ROWS
+        """Add the corrections of points measured at (x, y); points that have none do not count."""
+        corrected: Any = np.isfinite(corrections.dx_px)
+        if corrected.all():
+            corrected = slice(None)  # avoids copies
+        dx = corrections.dx_px[corrected]
+        dy = corrections.dy_px[corrected]
+        across = x_px[corrected] / self.width_px * _COLUMNS
+        down = y_px[corrected] / self.height_px * _ROWS
         column = np.clip(across, 0, _COLUMNS - 1).astype(np.intp)
         row = np.clip(down, 0, _ROWS - 1).astype(np.intp)
         cell = row * _COLUMNS + column
-        for number, weight in enumerate((dx, dy, np.ones(dx.shape))):
-            of_cells = np.bincount(cell, weight, _ROWS * _COLUMNS)
-            self.sums[number] += of_cells.reshape(_ROWS, _COLUMNS)
+        for number, addend in enumerate((dx, dy, np.ones(dx.shape))):
+            sum_of_cells = np.bincount(cell, addend, _ROWS * _COLUMNS)
+            self.sums[number] += sum_of_cells.reshape(_ROWS, _COLUMNS)
         magnitudes = {
             "shift_px": np.sqrt(dx * dx + dy * dy),
-            "shift_ground_m": corrections.shift_ground_m[good],
-            "refraction_arcsec": corrections.r_c_rad[good] / ARCSEC,
-            "window_arcsec": np.abs(corrections.r_cc_rad[good]) / ARCSEC,
+            "shift_ground_m": corrections.shift_ground_m[corrected],
+            "refraction_arcsec": corrections.r_c_rad[corrected] / ARCSEC,
+            "window_arcsec": np.abs(corrections.r_cc_rad[corrected]) / ARCSEC,
         }
         for name, values in magnitudes.items():
             self.distributions[name].add(values)
@@ -134,16 +134,16 @@ class ShiftStatistics:
 
 
 def to_five_digits(values: Array) -> list[float]:
-    """Numbers rounded to five digits."""
+    """Numbers rounded to five significant digits."""
     return [float(f"{value:.5g}") for value in values]
 
 
 class SampledRows(NamedTuple):
-    """Rows that stand for all; (n,) each.
+    """Evenly spaced rows that represent all rows; (n,) each.
 
-    ``station`` is -1 for an image without a station; ``weight`` is how many rows each row stands
-    for; ``sigma_px`` (n, 4) has a column of standard deviations of the correction for each of
-    `SIGMA_PARTS`, NaN if unknown.
+    ``station`` is -1 for an image without a station; ``weight`` is how many rows each row
+    represents; ``sigma_px`` (n, 4) has a column of standard deviations of the correction for each
+    of `SIGMA_PARTS`, NaN if unknown.
     """
 
     station: NDArray[np.int64]
@@ -170,7 +170,8 @@ class SampledRows(NamedTuple):
     ) -> SampledRows:
         """At most ``most`` rows of a batch, evenly spaced, with their corrections.
 
-        ``h_g`` and ``station`` (n,) are the ground heights and the stations of the batch.
+        ``h_g`` (n,) are the ground heights [m] and ``station`` (n,) the station numbers of the
+        batch.
         """
         rows = evenly_spaced(len(batch), most)
         weight = np.ones(rows.size)
@@ -202,15 +203,17 @@ class Statistics:
     shifts : how far corrections move points, by camera.
     status : how many rows have each status.
     examples : the first images and points of each status but ok, in the order of the rows.
-    no_distance, no_sigma, no_point, implausible_heights : how many rows have a slant range, a sigma
-        or a height of the ground that cannot be used, or a point without a height.
-    no_image : how many rows have no name of an image; they are among those of no_station.
-    first_no_image : number and point of the first of them.
-    ground_m : the lowest and the highest ground that was used; infinite before any.
+    no_distance, no_sigma, implausible_heights : how many rows have a slant range, a sigma of the
+        ground or a height of the ground that cannot be used.
+    no_point : how many rows have a point that the table of object points lacks.
+    no_image : how many rows have no name of an image; they also count as no_station.
+    first_no_image : row number and point of the first row without a name of an image.
+    ground_m : the lowest and the highest ground height of corrected rows [m above sea level];
+        (inf, -inf) if there are none.
     air_variance : sum of the squares of the sigmas of corrections by the air [px2].
     by_mode : sum of the squares of the derivatives of corrections by the parameter of the leading
         mode of the air [px2].
-    sampled : some rows of each part; `SAMPLED_ROWS` in all, which stand for all rows.
+    sampled : some rows of each part, about `SAMPLED_ROWS` in all, which represent all rows.
     cabin_share : sigma of R_cc by the air in the cabin, as a share of R_c.
     """
 
@@ -240,9 +243,9 @@ class Statistics:
         return cls(shifts)
 
     def add(self, batch: Batch, corrections: Corrections, camera: NDArray[np.int64]) -> None:
-        """Count a batch; ``camera`` (n,) is the number of each row's camera, -1 without one.
+        """Count a batch; ``camera`` (n,) is the number of each row's camera, -1 without a camera.
 
-        The rows of a sample have a weight: each counts as the rows of the table it stands for.
+        In a sample of the table each row has a weight: it counts as so many rows of the table.
         """
         rows = len(batch) if batch.weight is None else round(batch.weight.sum())
         self.parts += 1
@@ -267,9 +270,9 @@ class Statistics:
                 shift_statistics.add(x_px, y_px, corrections.rows(of_camera))
 
     def _add_statuses(self, batch: Batch, corrections: Corrections) -> None:
-        """Count the statuses of a batch, and keep the first rows of each that is not ok.
+        """Count the statuses of a batch, and keep its first rows of each status but ok as examples.
 
-        The examples are those of this batch: `merge` appends the examples of later batches.
+        They replace the examples of a batch that was added before; `merge` appends examples.
         """
         counts = np.bincount(corrections.status, batch.weight, minlength=len(STATUS_NAMES))
         for name, count in zip(STATUS_NAMES, counts.tolist(), strict=True):
@@ -288,15 +291,15 @@ class Statistics:
                 self.examples[STATUS_NAMES[code]] = examples
 
     def _add_rows_without_image(self, batch: Batch, rows: NDArray[np.int64]) -> None:
-        """Count rows (k,) of a batch without the name of an image, and keep the first."""
+        """Count the ``rows`` (k,) of a batch, which have no image name, and describe the first."""
         if not rows.size:
             return
         weight = np.ones(rows.size) if batch.weight is None else batch.weight[rows]
         self.no_image += round(weight.sum())
         first = int(rows[0])
         point = batch.point[first].as_py()
-        of_point = f" (point {point})" if point else ""
-        self.first_no_image = f"{batch.number_of(first)}{of_point}"
+        point_text = f" (point {point})" if point else ""
+        self.first_no_image = f"{batch.number_of(first)}{point_text}"
 
     def sampled_rows(self) -> SampledRows:
         """The sampled rows of all parts, one part after the other."""
@@ -306,7 +309,7 @@ class Statistics:
         return SampledRows(*columns)
 
     def merge(self, other: Statistics) -> None:
-        """Add the counts of another part, which comes after."""
+        """Add the statistics of a later part of the same run to these."""
         for name in ADDED:
             setattr(self, name, getattr(self, name) + getattr(other, name))
         low, high = self.ground_m
@@ -322,7 +325,7 @@ class Statistics:
             self.shifts[name] = self.shifts[name] + statistics
 
     def correction(self) -> CorrectionRecord:
-        """How large the correction was, over all and camera by camera, for the manifest."""
+        """The distribution of the corrections' size, in total and by camera, for the manifest."""
         over_all = {}
         for name in QUANTITIES:
             total = Distribution()
@@ -333,19 +336,20 @@ class Statistics:
         return CorrectionRecord(**over_all, cameras=cameras)
 
     def sigma_budget(self, camera: NDArray[np.int64]) -> dict[str, dict[str, SigmaRecord]]:
-        """Median and 95 % of the parts of sigma [px, m on the ground] by camera, for the manifest.
+        """Median and 95 % quantile of each part of sigma [px, m on the ground], by camera and part.
 
-        ``camera`` (s + 1,) is `CorrectionSetup.camera_number`, whose last entry is for rows without
-        a station (-1). The sampled rows count. Pixels become metres by each row's own shift, which
-        is known in both. The part ``all`` is the root of the sum of the squares of the known parts.
+        The parts are `SIGMA_PARTS`, and "all": the root of the sum of the squares of the known
+        parts. ``camera`` (s + 1,) is `CorrectionSetup.camera_number`, the last entry for rows
+        without a station (-1). Computed from the sampled rows; pixels are converted to metres by
+        each row's shift, which is known in both.
         """
         rows = self.sampled_rows()
         with np.errstate(divide="ignore", invalid="ignore"):
             metres_per_px = rows.shift_ground_m / rows.shift_px
-        together = np.sqrt(np.nansum(rows.sigma_px**2, axis=1))
-        together[np.isnan(rows.sigma_px).all(axis=1)] = np.nan
+        sigma_of_all = np.sqrt(np.nansum(rows.sigma_px**2, axis=1))
+        sigma_of_all[np.isnan(rows.sigma_px).all(axis=1)] = np.nan
         parts = dict(zip(SIGMA_PARTS, rows.sigma_px.T, strict=True))
-        parts["all"] = together
+        parts["all"] = sigma_of_all
         budget = {}
         for number, name in enumerate(self.shifts):
             of_camera = camera[rows.station] == number
@@ -357,7 +361,10 @@ class Statistics:
         return budget
 
     def ground_of_stations(self, count: int) -> Array:
-        """(count,) median ground height [m] of the rows of each station; NaN without any."""
+        """(count,) median ground height [m] of each station's sampled rows; NaN without rows.
+
+        ``count`` is the number of stations.
+        """
         rows = self.sampled_rows()
         used = (rows.station >= 0) & np.isfinite(rows.h_g_m)
         heights_m = pd.Series(rows.h_g_m[used])
@@ -366,12 +373,12 @@ class Statistics:
         return np.asarray(of_all_stations, np.float64)
 
     def ground_heights(self) -> GroundHeightsRecord | None:
-        """Limits of all ground heights [m above the sea], median and histogram of sampled ones.
+        """Limits of all ground heights [m above sea level], median and histogram of sampled ones.
 
         None if no row was corrected.
         """
         low, high = self.ground_m
-        if not low <= high:  # infinite, the other way round, before any row
+        if not low <= high:  # (inf, -inf): no row was corrected
             return None
         rows = self.sampled_rows()
         used = np.isfinite(rows.shift_px) & np.isfinite(rows.h_g_m)
@@ -393,9 +400,10 @@ class Statistics:
     def report_flagged(
         self, ledger: Ledger, causes: Mapping[str, str], *, explained: Collection[str] = ()
     ) -> None:
-        """A ledger entry for each reason why rows were not corrected; ``causes`` by status.
+        """Add an entry to the ledger for each kind of unusable value and each status but ok.
 
-        ``explained`` : statuses that follow from losses of the ledger; their entries are notes.
+        causes : the likely cause of each status, in words.
+        explained : statuses that follow from other losses of the ledger; their entries are notes.
         """
         if self.no_distance:
             where = "observations.columns.distance_m"
@@ -428,13 +436,16 @@ class Statistics:
         counts["no_station"] = counts.get("no_station", 0) - self.no_image
         for status, count in counts.items():
             if status != "ok" and count > 0:
-                message = self.flagged(status, count, causes.get(status, ""))
+                message = self.status_message(status, count, causes.get(status, ""))
                 if status in explained:
                     message = replace(message, kind=Kind.NOTE)
                 ledger.add(message)
 
-    def flagged(self, status: str, count: int, cause: str) -> Message:
-        """The message that ``count`` rows have a status that is not ok, with its likely cause."""
+    def status_message(self, status: str, count: int, cause: str) -> Message:
+        """The message that ``count`` rows have a status other than ok.
+
+        It names the likely ``cause``, unless this is empty, and the first rows.
+        """
         examples = ", ".join(self.examples.get(status, []))
         words: dict[str, Any] = {
             "total": self.rows,
@@ -452,9 +463,9 @@ class Statistics:
 
 
 def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
-    """(n, 4) standard deviations [px] of some rows, x and y together, a column for each part.
+    """(n, 4) standard deviations [px] of the ``rows`` (n,), a column for each of `SIGMA_PARTS`.
 
-    The parts are `SIGMA_PARTS`; NaN where the corrections have no standard deviations.
+    Those of x and y are added in squares. NaN if the corrections have no standard deviations.
     """
     if corrections.sigmas is None:
         return np.full((rows.size, len(SIGMA_PARTS)), np.nan)
@@ -468,16 +479,16 @@ def sigma_parts(corrections: Corrections, rows: NDArray[np.intp]) -> Array:
 
 
 def _squares(*columns: NDArray[np.float32]) -> float:
-    """The sum of the squares of all numbers in some columns, without NaN."""
+    """The sum of the squares of all numbers in the columns; NaN is left out."""
     return sum(float(np.nansum(np.square(column, dtype=np.float64))) for column in columns)
 
 
 def sigma_records(
     sigmas_px: Mapping[str, Array], *, metres_per_px: Array, weight: Array
 ) -> dict[str, SigmaRecord]:
-    """Median and 95 % of each part of sigma; a part that no row knows is left out.
+    """Median and 95 % quantile of each part of sigma; a part without known values is left out.
 
-    ``sigmas_px`` has (n,) standard deviations of each part.
+    ``sigmas_px`` has (n,) standard deviations by part; ``metres_per_px``, ``weight`` (n,).
     """
     records = {}
     for part, sigma_px in sigmas_px.items():

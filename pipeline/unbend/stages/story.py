@@ -64,16 +64,19 @@ class PreparedMission:
 
     @property
     def observations(self) -> Observations:
-        """The table of observations, with the heights of object points where these have them."""
+        """The table of observations, with the heights of object points where a table gives them."""
         return self.inputs.observations
 
     def track(self) -> LoggedPath:
-        """Where the aircraft was as logged; empty where positions or heights are not known."""
+        """Times, places and heights above sea level of the aircraft, as logged.
+
+        All arrays are empty if the log has no positions or no heights.
+        """
         track = self.flight.track
         height = self.flight.roles.get("height")
         if track is None or height is None:
-            none = np.empty(0)
-            return LoggedPath(np.empty(0, np.int64), none, none, none)
+            no_values = np.empty(0)
+            return LoggedPath(np.empty(0, np.int64), no_values, no_values, no_values)
         gap_s = self.mission.max_gap_s
         h_msl_m, _ = heights_at(height, track.time_ns, self.flight.heights, gap_s)
         return LoggedPath(*track, h_msl_m)
@@ -83,7 +86,10 @@ class PreparedMission:
 class CorrectedMission:
     """A mission after its observations were corrected.
 
-    ``lit_air`` are the profiles that the setup numbers: those of ``air``, in each camera's light.
+    stations : those of ``prepared``, with the air in the cabins.
+    air : that of ``prepared``, with its effects on R.
+    lit_air : each profile of ``air`` once for each wavelength of the cameras that it is used for;
+        the profile numbers of ``setup`` count these.
     """
 
     prepared: PreparedMission
@@ -99,7 +105,10 @@ class CorrectedMission:
 def prepare_mission(
     mission: Mission, inputs: OpenedInputs, ledger: Ledger, stations: Stations | None = None
 ) -> PreparedMission:
-    """Give the log's channels their roles, build the stations (or take them), estimate the air."""
+    """Give the log's channels their roles, build the stations, estimate the air.
+
+    ``stations`` are used, if given, instead of those that would be built.
+    """
     # The log, and the heights of observed points that do not depend on stations.
     flight = flight_log(mission, inputs, ledger)
     observations = with_object_points(mission, inputs, flight, ledger)
@@ -114,13 +123,13 @@ def prepare_mission(
     check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
 
-    # The air that they flew through.
+    # The air along the flight.
     samples = ledger.take(
         outside_air_samples(
             flight.air_roles,
             flight.heights,
             mission.max_gap_s,
-            flight.own_suspect,
+            flight.logged_suspect,
             flight.ground,
         )
     )
@@ -153,7 +162,11 @@ def prepare_mission(
 def correct_mission(
     prepared: PreparedMission, correct: Callable[[CorrectionSetup], Statistics]
 ) -> CorrectedMission:
-    """Correct the observations of a mission, or a sample of them, and say what became of them."""
+    """Correct the observations of a mission, or a sample of them, and record the results.
+
+    ``correct`` gets the setup, corrects its observations and returns their statistics. The ledger
+    of ``prepared`` gets the messages.
+    """
     mission = prepared.mission
     heights = prepared.flight.heights
     air = prepared.air
@@ -187,14 +200,14 @@ def correct_mission(
     )
     statistics = correct(setup)
 
-    # What is to be said of the results.
+    # Findings, likely causes of uncorrected rows, and the record for the manifest.
     facts = facts_of(prepared, stations, setup, statistics)
     report_findings(facts, ledger)
-    known = known_causes(facts, ledger)
-    causes = causes_of_statuses(facts, known)
-    explained = statuses_explained(facts, ledger, known)
+    code_of_status = known_causes(facts, ledger)
+    causes = causes_of_statuses(facts, code_of_status)
+    explained = statuses_explained(facts, ledger, code_of_status)
     statistics.report_flagged(ledger, causes, explained=explained)
-    settle_findings(mission.accept, known, cameras_of_exchanged_sides(facts), ledger)
+    settle_findings(mission.accept, code_of_status, cameras_of_exchanged_sides(facts), ledger)
     air = replace(air, effects=facts.effects)
     results = results_of_mission(
         mission,
@@ -223,7 +236,7 @@ def correct_mission(
 def facts_of(
     prepared: PreparedMission, stations: Stations, setup: CorrectionSetup, statistics: Statistics
 ) -> Facts:
-    """What the rules of plausibility look at."""
+    """What the plausibility rules check, collected from a mission and its corrected rows."""
     flight = prepared.flight
     return Facts(
         mission=prepared.mission,
@@ -237,5 +250,5 @@ def facts_of(
         logged_terrain_m=logged_terrain(flight.channels, stations.time_ns),
         terrain=prepared.terrain,
         channels=flight.channels,
-        height=flight.own.get("height"),
+        height=flight.logged_roles.get("height"),
     )

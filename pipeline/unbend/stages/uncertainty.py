@@ -27,7 +27,7 @@ from unbend.tables.observations import Batch
 from unbend.units import Integers
 
 TYPICAL_ROWS = 2000
-"""The first rows of a table, whose ground is that of the leading mode of the air."""
+"""First rows of the observations; the leading mode of the air is computed for their ground."""
 
 
 def with_uncertainties(
@@ -39,15 +39,16 @@ def with_uncertainties(
     *,
     flight_profile_number: Integers,
 ) -> CorrectionSetup:
-    """The setup with what the sigmas of the corrections are computed from, for each profile of air.
+    """The setup with all that the sigmas of the corrections are computed from, for each profile.
 
-    ``air`` has each profile of the flight once for each light (wavelength) of the cameras;
-    ``flight_profile_number`` (s,) is the profile of the flight of each station, whatever the light.
-    The leading mode of the air's errors, their most effective shape, is computed from all stations
-    of one profile of the flight, so that cameras of several lights share it, and for rays to the
-    median height of the points of a ``batch``. Modes differ between profiles, but have one common
-    parameter: the errors of the profiles change all refractions to the same side. A profile without
-    covariance gets None if stations, ground and windows have no sigma either.
+    ``air`` has each profile of the flight once for each wavelength of the cameras;
+    ``flight_profile_number`` (s,) is each station's profile of the flight, whatever the wavelength.
+
+    The leading mode of the air's errors, which changes the refraction most, is computed from all
+    stations of a profile of the flight, also those of cameras with other wavelengths, and for rays
+    to the median height of the points of ``batch``. Modes differ between profiles, but have one
+    common parameter: the errors of all profiles change the refraction in the same sense. A profile
+    without covariance gets None if stations, ground and windows have no sigma either.
     """
     cabin_of_air = cabin_changes(stations, mission.lenses, air)
     cabin_and_lenses = with_errors_of_lenses(
@@ -94,7 +95,10 @@ def median_ground_m(setup: CorrectionSetup, batch: Batch) -> float | None:
 def has_any_sigma(
     mission: Mission, stations: Stations, sigmas: StationSigmas, window_kinds: Integers
 ) -> bool:
-    """Whether mission file, stations or windows have a standard deviation to compute with."""
+    """Whether any standard deviation but that of the air is known.
+
+    That is of attitudes, ground heights, the air in a cabin or, by its window, of its pressure.
+    """
     if bool(np.isfinite(sigmas.tilt_rad[stations.ok]).any()):
         return True
     if mission.ground.sigma_m is not None or mission.ground.sigma_column is not None:
@@ -106,22 +110,22 @@ def has_any_sigma(
 def with_common_scale(
     uncertainties: Iterable[Uncertainty | None],
 ) -> tuple[Uncertainty | None, ...]:
-    """Uncertainties whose leading modes have one common parameter, and so one sigma.
+    """The uncertainties with one common parameter of their leading modes, and so one sigma.
 
     The sigma is the root mean square of the sigmas of all modes, to six digits. A profile without
     uncertainty keeps None; an uncertainty without a mode stays as it is.
     """
-    given = tuple(uncertainties)
-    scales = []
-    for uncertainty in given:
+    of_profiles = tuple(uncertainties)
+    sigmas = []
+    for uncertainty in of_profiles:
         if uncertainty is not None and uncertainty.mode is not None:
-            scales.append(uncertainty.mode.sigma)
-    common = np.nan
-    if scales:
-        common = float(f"{np.sqrt(np.mean(np.square(scales))):.6g}")
+            sigmas.append(uncertainty.mode.sigma)
+    common_sigma = np.nan  # not used if no uncertainty has a mode
+    if sigmas:
+        common_sigma = float(f"{np.sqrt(np.mean(np.square(sigmas))):.6g}")
     scaled: list[Uncertainty | None] = []
-    for uncertainty in given:
-        scaled.append(None if uncertainty is None else uncertainty.with_scale(common))
+    for uncertainty in of_profiles:
+        scaled.append(None if uncertainty is None else uncertainty.with_scale(common_sigma))
     return tuple(scaled)
 
 
@@ -129,9 +133,9 @@ def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -
     """(s,) the kind of window of each exposure, by the pressure behind it.
 
     * `OPEN`: no plane window before a cabin.
-    * `FOLLOWING`: an opening, whose air differs from that outside by stated amounts.
-    * `SCHEDULED`: the pressure is that of the air outside. So it is in an unsealed cabin, and with
-      a schedule below the height at which the schedule begins to hold its pressure.
+    * `FOLLOWING`: an opening; its air differs from that outside by stated amounts.
+    * `SCHEDULED`: the pressure is that of the air outside: in an unsealed cabin, and with a
+      schedule below the height from which the schedule keeps the pressure constant.
     * `SEALED`: any other plane window.
     """
     kinds = np.full(len(stations), OPEN, np.int64)
@@ -150,9 +154,9 @@ def kinds_of_windows(mission: Mission, stations: Stations, air: ProfileSeries) -
 
 
 def station_sigmas(mission: Mission, stations: Stations) -> StationSigmas:
-    """Sigmas of attitude and height of the stations; NaN where unknown.
+    """Sigmas of attitude and height of the stations; NaN if unknown.
 
-    A station without sigmas of its attitude has those that the mission file states for its mount.
+    A station without sigmas of its attitude gets those that the mission file states for its mount.
     """
     tilt = stations.sigma_tilt_rad.copy()
     yaw = stations.sigma_yaw_rad.copy()
@@ -181,7 +185,7 @@ def report_unknown_sigmas(
 
 
 def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> Iterator[str]:
-    """Standard deviations that nothing gives, each with the key that would state it."""
+    """A text for each unknown standard deviation, with the key that would state it."""
     if not all(timed.has_covariance for timed in air.timed_profiles):
         yield "the air (its profile has no covariance)"
     yield from missing_sigmas_of_attitudes(mission, stations)
@@ -198,10 +202,10 @@ def missing_sigmas(mission: Mission, stations: Stations, air: ProfileSeries) -> 
 
 
 def missing_sigmas_of_attitudes(mission: Mission, stations: Stations) -> Iterator[str]:
-    """The standard deviations of tilt and yaw that any station in use lacks.
+    """One text with the keys for sigmas of tilt and yaw that stations lack; nothing without any.
 
-    Each with the key that would state it: of the mount of each camera where the attitudes come from
-    a log, else of the orientation of the stations.
+    Only stations that are ok count. The keys are of the mount of each camera if the attitudes come
+    from a log, else of the orientation of the stations.
     """
     sigmas = station_sigmas(mission, stations)
     of_attitude = {
@@ -221,9 +225,9 @@ def missing_sigmas_of_attitudes(mission: Mission, stations: Stations) -> Iterato
 
 
 def missing_sigmas_of_cabins(mission: Mission, stations: Stations) -> Iterator[str]:
-    """The standard deviations that the air in cabins behind plane windows lacks.
+    """Text for each sigma that the air in cabins behind plane windows lacks, with its key.
 
-    A key is named if any usable station of the camera lacks its standard deviation.
+    A sigma is missing if any station of the camera that is ok lacks it.
     """
     of_cabins = {
         "sigma_pressure_hpa": stations.sigma_cabin_pressure_pa,

@@ -18,32 +18,34 @@ def channels_of_one_vehicle(
     named: Mapping[str, str],
     ledger: Ledger,
 ) -> tuple[Channel, ...]:
-    """The channels that may play roles: all of a log with one vehicle; of a log with several
+    """The channels that may play roles: all if the log has one vehicle; if it has several
 
-    * those of the vehicle that flew the mission: the one whose events are used, or without events
-      of the log the one whose channels the mission file names (``named``, by role);
-    * those of no vehicle;
-    * those that are used or named, with a finding for each named one of another vehicle.
+    * the channels of the vehicle that flew the mission. It is the sender of the events in use; if
+      no events of the log are used, the sender of the channels that the mission file names;
+    * channels that belong to no vehicle;
+    * channels of other vehicles that are used or named, with a finding for each named one.
 
-    Refuses (LOG-VEHICLES) a log of several vehicles if events and names point to none of these, or
-    to several.
+    ``named`` has the names of channels by role. Refuses (LOG-VEHICLES) a log of several vehicles
+    if events and names show none of them as the one that flew, or more than one.
     """
     vehicles = Vehicles.of(channels)
     if not vehicles.names:
         return channels
     events = event_channels(mission, channels)
     by_name = {channel.name: channel for channel in channels}
-    of_roles = {role: by_name[name] for role, name in named.items() if name in by_name}
-    vehicle, deciding_channels = _vehicle_of(vehicles, events, of_roles)
+    named_channels = {role: by_name[name] for role, name in named.items() if name in by_name}
+    vehicle, deciding_channels = _vehicle_that_flew(vehicles, events, named_channels)
     if not vehicle:
         raise messages.vehicles_ambiguous(
-            vehicles=[f"{name} ({_listed(vehicles, name, channels)})" for name in vehicles.names],
+            vehicles=[
+                f"{name} ({_channel_list(vehicles, name, channels)})" for name in vehicles.names
+            ],
             reason=deciding_channels,
         )
     ledger.add(
         messages.vehicle_chosen(vehicle=vehicle, vehicles=vehicles.names, channel=deciding_channels)
     )
-    for role, channel in of_roles.items():
+    for role, channel in named_channels.items():
         other = vehicles.of_channel(channel)
         if other not in ("", vehicle):
             ledger.add(
@@ -54,46 +56,52 @@ def channels_of_one_vehicle(
                     vehicle=vehicle,
                 )
             )
-    kept = {channel.name for channel in (*events, *of_roles.values())}
-    kept |= {mount.attitude for mount in mission.mount.values() if mount.attitude is not None}
-    return vehicles.channels_of(vehicle, channels, kept)
+    used_or_named = {channel.name for channel in (*events, *named_channels.values())}
+    for mount in mission.mount.values():
+        if mount.attitude is not None:
+            used_or_named.add(mount.attitude)
+    return vehicles.channels_of(vehicle, channels, used_or_named)
 
 
 def event_channels(mission: Mission, channels: tuple[Channel, ...]) -> list[Channel]:
-    """The channels of the log whose events are the exposures of the cameras."""
+    """The channels of the log with the exposures, one for each camera in ``events.log``."""
     if mission.events is None or mission.events.log is None:
         return []
     sources = mission.events.log.values()
     return [choose_event_channel(channels, source.channel) for source in sources]
 
 
-def _vehicle_of(
+def _vehicle_that_flew(
     vehicles: Vehicles,
     events: Sequence[Channel],
-    of_roles: Mapping[str, Channel],
+    named_channels: Mapping[str, Channel],
 ) -> tuple[str, str]:
-    """The vehicle of the events, else of the roles of the flight, and the name of its channel.
+    """The vehicle that sent the events, and the name of a channel that shows it.
 
-    If these are of several vehicles, "" and the names of a channel of each; if of none, twice "".
+    If no channel of events belongs to a vehicle, the channels that are named for position, height
+    and attitude decide (``named_channels``, by role). Returns
+
+    * "" and the names of a channel of each vehicle if these channels are of several;
+    * "" and "" if no channel belongs to a vehicle.
     """
-    flight = [of_roles[role] for role in _FLIGHT_ROLES if role in of_roles]
-    for candidates in (events, flight):
-        senders = {vehicles.of_channel(channel): channel.name for channel in candidates}
-        senders.pop("", None)  # channels of no vehicle say nothing
-        if len(senders) == 1:
-            ((vehicle, channel),) = senders.items()
+    flight_channels = [named_channels[role] for role in _FLIGHT_ROLES if role in named_channels]
+    for candidates in (events, flight_channels):
+        channel_of_vehicle = {vehicles.of_channel(channel): channel.name for channel in candidates}
+        channel_of_vehicle.pop("", None)  # channels that belong to no vehicle
+        if len(channel_of_vehicle) == 1:
+            ((vehicle, channel),) = channel_of_vehicle.items()
             return vehicle, channel
-        if senders:
-            return "", ", ".join(senders.values())
+        if channel_of_vehicle:
+            return "", ", ".join(channel_of_vehicle.values())
     return "", ""
 
 
-def _listed(
+def _channel_list(
     vehicles: Vehicles,
     vehicle: str,
     channels: Sequence[Channel],
 ) -> str:
-    """The channels of positions and of events of a vehicle."""
+    """Names of a vehicle's channels that have positions or events, with commas, for a message."""
     return ", ".join(
         channel.name
         for channel in channels
