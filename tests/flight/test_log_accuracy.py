@@ -90,6 +90,15 @@ def test_a_filter_has_the_accuracy_of_its_receiver_and_its_innovations():
     assert sigmas.height_m == pytest.approx(np.hypot(1.5, 1.5))
 
 
+def test_a_height_without_a_reported_sigma_is_as_exact_as_that_of_a_filter():
+    horizontal_only = channel("GPA", SECONDS, sigma_h_m=0.3)
+
+    sigmas = ACCURACY.positions(horizontal_only, instants(5.0))
+
+    assert sigmas.horizontal_m == pytest.approx([0.3])
+    assert sigmas.height_m == pytest.approx(np.hypot(1.5, 1.5))
+
+
 def test_an_attitude_is_as_uncertain_as_innovations_of_the_velocity_show():
     """The tangent of the dip is 0 and 2."""
     latitude = np.radians([0.0, 45.0])

@@ -372,8 +372,10 @@ def _has_usual_dew_points(
     sigma_by_rh_k = usual_k**2 / _SATURATION_K * relative_sigma_rh
     sigma_k = np.hypot(moisture.spread.sigma_temperature(h), sigma_by_rh_k)
     limit_k = np.minimum(usual_k + WETTEST_SIGMAS * sigma_k, HIGHEST_DEW_POINT_K)
-    worst = int(np.argmax(dew_k - limit_k))
-    if not dew_k[worst] > limit_k[worst]:  # NaN passes
+    # A dew point is NaN where noise made a mean relative humidity negative: there the air is dry.
+    excess_k = np.nan_to_num(dew_k - limit_k, nan=-np.inf)
+    worst = int(np.argmax(excess_k))
+    if excess_k[worst] <= 0.0:
         return PASSED
     reason = messages.hygrometer_too_wet(
         percent=100.0 * readings.value[worst],

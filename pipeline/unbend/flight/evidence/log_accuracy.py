@@ -104,12 +104,13 @@ class LogAccuracy:
         horizontal_m2 = reported.horizontal_m2
         about_fused_m2 = self._variance_about_fused(channel, time_ns)
         height_m2 = reported.height_m2 + about_fused_m2
-        is_silent = ~np.isfinite(horizontal_m2)  # a report has both variances or neither
+        has_no_horizontal = ~np.isfinite(horizontal_m2)
+        has_no_height = ~np.isfinite(height_m2)
         has_other_receiver = self.receiver is not None and channel is not self.receiver
-        if has_other_receiver and is_silent.any():
+        if has_other_receiver and (has_no_horizontal | has_no_height).any():
             of_filter = self._filter_variances(time_ns)
-            horizontal_m2 = np.where(is_silent, of_filter.horizontal_m2, horizontal_m2)
-            height_m2 = np.where(is_silent, of_filter.height_m2, height_m2)
+            horizontal_m2 = np.where(has_no_horizontal, of_filter.horizontal_m2, horizontal_m2)
+            height_m2 = np.where(has_no_height, of_filter.height_m2, height_m2)
         return _PositionVariances(horizontal_m2, height_m2)
 
     def _filter_variances(self, time_ns: TimeArray) -> _PositionVariances:
