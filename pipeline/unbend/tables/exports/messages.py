@@ -351,7 +351,7 @@ EXPORT_NAMES = Code(
 
 
 def names_too_long(
-    *, where: Path | str, kind: str, one: str, other: str, short: str, longest: int
+    *, where: Path | str, kind: str, first: str, other: str, short: str, longest: int
 ) -> MissionError:
     """Two images, cameras or points get the same name when theirs are shortened."""
     return MissionError(
@@ -363,7 +363,7 @@ def names_too_long(
         where=where,
         remedy="rename them so that the last {longest} characters differ",
         kind=kind,
-        first=one,
+        first=first,
         other=other,
         short=short,
         longest=longest,
@@ -640,10 +640,13 @@ def calibration_leaves(
     count: int,
     name: str,
     percent: float,
-    left: tuple[float, float],
+    residual: tuple[float, float],
     effect: tuple[float, float],
 ) -> Message:
-    """A calibration that holds most of the refraction; left and effect in pixels and metres."""
+    """A calibration that contains most of the refraction, but not all.
+
+    ``residual``, ``effect`` : what it does not contain, and the refraction, in pixels and metres.
+    """
     return loss(
         EXPORT_RESIDUAL,
         _LEFT_BY_CALIBRATION,
@@ -651,9 +654,9 @@ def calibration_leaves(
         count=count,
         name=name,
         percent=percent,
-        left_px=left[0],
+        left_px=residual[0],
         effect_px=effect[0],
-        left_m=left[1],
+        left_m=residual[1],
         effect_m=effect[1],
     )
 
@@ -663,10 +666,10 @@ def calibration_impossible(
     where: str,
     name: str,
     percent: float,
-    left: tuple[float, float],
+    residual: tuple[float, float],
     effect: tuple[float, float],
 ) -> MissionError:
-    """No calibration holds the refraction; left and effect in pixels and metres."""
+    """No calibration contains most of the refraction; values as of `calibration_leaves`."""
     return MissionError(
         EXPORT_RESIDUAL,
         _LEFT_BY_CALIBRATION + ": no calibration can replace the correction of these images",
@@ -678,9 +681,9 @@ def calibration_impossible(
         ),
         name=name,
         percent=percent,
-        left_px=left[0],
+        left_px=residual[0],
         effect_px=effect[0],
-        left_m=left[1],
+        left_m=residual[1],
         effect_m=effect[1],
     )
 
