@@ -172,7 +172,6 @@ def block_of(
     number_of_camera = {name: number for number, name in enumerate(camera_names)}
     images_of_point = np.bincount(points.point, minlength=len(points.name))
     point_order = np.argsort(images_of_point < 2, kind="stable")  # points of several images first
-    new_number_of_point = np.argsort(point_order)
     object_points = int(np.sum(images_of_point > 1)) if intersect else 0
     block = ExportedBlock(
         cameras={name: run.cameras[name].camera for name in camera_names},
@@ -181,7 +180,7 @@ def block_of(
         frame=frame,
         rotation=matrices_of(frame.quaternion),
         first_image_point=np.searchsorted(points.image, np.arange(rows.size + 1)),
-        point=new_number_of_point[points.point],
+        point=np.argsort(point_order)[points.point],  # numbers in the new order
         x_px=run.pixels.to_colmap(points.x),
         y_px=run.pixels.to_colmap(points.y),
         point_name=points.name.take(pa.array(point_order)),
@@ -358,9 +357,7 @@ def intersected(
     """
     sums = _RaySums.of_points(len(block.point_m))
     for i, camera, image_points in block.images():
-        x_px = block.x_px[image_points]
-        y_px = block.y_px[image_points]
-        ray = _image_rays(camera, x_px, y_px) @ block.rotation[i]
+        ray = _image_rays(block, camera, image_points) @ block.rotation[i]
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
         reach_m = straight_reach(
             h_c[i],
@@ -430,9 +427,9 @@ class _RaySums:
         self.distance[point] += reach_m
 
 
-def _image_rays(camera: Camera, x_px: Array, y_px: Array) -> Array:
-    """(n, 3) directions (u, v, 1) of corrected image points in the frame of the camera."""
-    u, v = ideal_coordinates(camera, x_px, y_px)
+def _image_rays(block: ExportedBlock, camera: Camera, image_points: slice) -> Array:
+    """(n, 3) directions (u, v, 1) of the image points of an image, in the frame of its camera."""
+    u, v = ideal_coordinates(camera, block.x_px[image_points], block.y_px[image_points])
     return np.stack([u, v, np.ones(u.size)], axis=1)
 
 

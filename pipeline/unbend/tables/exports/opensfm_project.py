@@ -110,8 +110,7 @@ def _write_tracks(block: ExportedBlock, ids: Integers, path: Path) -> None:
             one_pixel = 1.0 / longer_side_px  # the scale
             ending = f"{one_pixel:.9f}\t128\t128\t128\t-1\t-1\n"
             for keypoint, (point, x_point, y_point) in enumerate(ids_and_xy):
-                place = f"{keypoint}\t{x_point:.9f}\t{y_point:.9f}"
-                file.write(f"{image}\t{point}\t{place}\t{ending}")
+                file.write(f"{image}\t{point}\t{keypoint}\t{x_point:.9f}\t{y_point:.9f}\t{ending}")
 
 
 def _shots(block: ExportedBlock) -> dict[str, dict[str, Any]]:

@@ -7,6 +7,7 @@ COLMAP's. Image points are listed under the name of their image without its endi
 """
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -58,22 +59,27 @@ def write_pix4d(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> in
         if count > 1:
             raise messages.name_with_separator(where="observations", name=stem, program="Pix4D")
     cameras = folder / f"{_PREFIX}calibrated_camera_parameters.txt"
-    cameras.write_text(_HEAD + "".join(blocks_of_images(block)), encoding="utf-8")
+    cameras.write_text(_HEAD + "".join(parameters_of_images(block)), encoding="utf-8")
     write_external(block, folder / f"{_PREFIX}calibrated_external_camera_parameters.txt")
     (folder / f"{_PREFIX}offset.xyz").write_text("0.000 0.000 0.000\n", encoding="utf-8")
     with (folder / f"{_PREFIX}tp_pix4d.txt").open("w", encoding="utf-8") as file:
-        for i, _camera, image_points in block.images():
-            file.write(f"{stems[i]}\n")
-            points = block.point_name.take(block.point[image_points]).to_pylist()
-            x_px = block.x_px[image_points].tolist()
-            y_px = block.y_px[image_points].tolist()
-            for point, x, y in zip(points, x_px, y_px, strict=True):
-                file.write(f"{point} {x!r} {y!r} {_SCALE}\n")
-            file.write("-99\n")
+        file.writelines(lines_of_image_points(block, stems))
     return int(block.point.size)
 
 
-def blocks_of_images(block: ExportedBlock) -> list[str]:
+def lines_of_image_points(block: ExportedBlock, stems: Sequence[str]) -> Iterator[str]:
+    """For each image its name without ending (``stems``), lines of image points, and -99."""
+    for i, _camera, image_points in block.images():
+        yield f"{stems[i]}\n"
+        points = block.point_name.take(block.point[image_points]).to_pylist()
+        x_px = block.x_px[image_points].tolist()
+        y_px = block.y_px[image_points].tolist()
+        for point, x, y in zip(points, x_px, y_px, strict=True):
+            yield f"{point} {x!r} {y!r} {_SCALE}\n"
+        yield "-99\n"
+
+
+def parameters_of_images(block: ExportedBlock) -> list[str]:
     """The text of each image: its name, size, K, distortion, position and rotation."""
     coefficients_of_cameras = [
         plain_coefficients(camera, name, "Pix4D") for name, camera in block.cameras.items()
