@@ -120,7 +120,7 @@ def ideal_coordinates(
     """Image coordinates u, v (n,) without distortion, in units of the principal distance.
 
     NaN where the distortion cannot be inverted. Corrected points may be a little outside the image:
-    the camera is widened by an image on each side, because `Camera.rays` covers only the image.
+    the camera is extended by an image on each side, because `Camera.rays` covers only the image.
     """
     width = camera.width_px
     height = camera.height_px
