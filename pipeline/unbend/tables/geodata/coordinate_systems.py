@@ -4,9 +4,8 @@ PROJ transforms horizontally, without ballpark transformations. It does not tran
 it lacks a grid, it returns them unchanged without an error. The name of their datum decides.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+import warnings
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,12 +15,12 @@ from unbend.geodesy import GeoidGrid
 from unbend.messages import Message, Notes
 from unbend.tables.geodata import messages
 from unbend.tables.geodata.geoid import package_geoid
-from unbend.tables.geodata.transformations import to_wgs84
 from unbend.units import WGS84_A, Array, Mask, measured
 
 if TYPE_CHECKING:
     from pyproj import CRS, Transformer
 
+_GOOD_M = 1.0  # a transformation with a worse accuracy is a warning
 MARGIN_DEG = 2.0  # positions may be so far outside the area of use of a coordinate system
 SEA_LEVELS = ("EGM96 height", "MSL height")  # names of vertical datums that are mean sea level here
 
@@ -63,9 +62,9 @@ def places_of(
     contradicts ``heights`` or needs a grid (CRS-VERTICAL). A transformation worse than 1 m is a
     warning (CRS-DATUM), which names the grid that would make it better.
     """
-    horizontal, vertical = _parts_of_system(crs, heights, where, key)
+    horizontal, vertical = horizontal_and_vertical(crs, heights, where, key)
     x, y, h = xyh
-    lon_lat = _in_own_datum(horizontal, x, y)
+    lon_lat = in_own_datum(horizontal, x, y)
     lon_lat, notes = _nan_outside_area(lon_lat, horizontal, where, key, (x, y))
     is_known = np.asarray(np.isfinite(lon_lat).all(axis=0))
     operation = to_wgs84(horizontal, lon_lat[:, is_known], where, key)
@@ -196,7 +195,7 @@ def _median_difference_from_egm96(undulation: Array, lat_rad: Array, lon_rad: Ar
     return float(np.median(known_m)) if known_m.size else 0.0
 
 
-def _in_own_datum(horizontal: Any, x: Array, y: Array) -> Array:
+def in_own_datum(horizontal: Any, x: Array, y: Array) -> Array:
     """(2, n) longitude and latitude [deg, from Greenwich] in the datum of a system, of its x, y."""
     from pyproj import Transformer
 
@@ -207,6 +206,68 @@ def _in_own_datum(horizontal: Any, x: Array, y: Array) -> Array:
     lon_lat *= np.degrees(unit_rad)
     lon_lat[0] += prime_meridian_deg(geodetic)
     return lon_lat
+
+
+@dataclass(frozen=True, eq=False)
+class BestOperation:
+    """The best transformation between two systems that PROJ can do with its installed grids.
+
+    ``description`` : in words, with its accuracy, and the grid that a better one needs.
+    ``is_good`` : its known accuracy is 1 m or better.
+    """
+
+    transformer: "Transformer"
+    description: str
+    is_good: bool
+
+
+def best_operation(
+    source: "CRS | str", lon_lat: Array, target: "CRS | str"
+) -> BestOperation | None:
+    """The best transformation from ``source`` to ``target`` in the extent of (2, n) places [deg].
+
+    ``lon_lat`` : longitudes and latitudes. The transformation gives no values beyond its grid: no
+    other replaces it there. None if PROJ has only a ballpark transformation.
+    """
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.network import set_network_enabled
+    from pyproj.transformer import TransformerGroup
+
+    set_network_enabled(False)  # whatever PROJ_NETWORK and proj.ini say
+    corners = (*lon_lat.min(axis=1).tolist(), *lon_lat.max(axis=1).tolist())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a missing grid: it is in the description
+        group = TransformerGroup(
+            source,
+            target,
+            always_xy=True,
+            allow_ballpark=False,
+            area_of_interest=AreaOfInterest(*corners),
+        )
+    if not group.transformers:
+        return None
+    best = group.transformers[0]
+    has_accuracy = best.accuracy >= 0.0  # PROJ has -1 for an unknown accuracy
+    description = f"{best.description or 'an unnamed operation'}"
+    description += f", to {best.accuracy:g} m" if has_accuracy else ", of unknown accuracy"
+    if not group.best_available and group.unavailable_operations:
+        better = group.unavailable_operations[0]
+        grids = ", ".join(grid.short_name for grid in better.grids)
+        description += f"; {better.name} to {better.accuracy:g} m needs {grids} in PROJ's folder"
+    return BestOperation(best, description, is_good=0.0 <= best.accuracy <= _GOOD_M)
+
+
+def to_wgs84(
+    horizontal: "CRS", lon_lat: Array, where: str, key: str, *, target: str = "EPSG:4326"
+) -> BestOperation:
+    """The best transformation to WGS 84 in the extent of (2, n) longitudes and latitudes [deg].
+
+    ``target`` is WGS 84 with or without heights. Refuses (CRS-BALLPARK) a system that has none.
+    """
+    best = best_operation(horizontal, lon_lat, target)
+    if best is None:
+        raise messages.crs_ballpark(where=where, name=horizontal.name, named=key)
+    return best
 
 
 def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array, Array]:
@@ -288,65 +349,6 @@ def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:
     return lat_rad, lon_rad
 
 
-@dataclass(frozen=True)
-class GridSystem:
-    """The coordinate system of a raster.
-
-    ``to_grid`` computes x, y of longitude and latitude on WGS 84 [deg], ``to_places`` the reverse;
-    x, y are longitude, latitude [deg] in a geographic system. ``operation`` describes the
-    transformation, ``is_good`` : its known accuracy is 1 m or better. ``vertical`` : name of the
-    vertical datum, "" without one; ``is_sea_level`` : it is mean sea level; ``unit_m`` : its unit.
-    """
-
-    name: str
-    is_geographic: bool
-    to_grid: Callable[[Array, Array], tuple[Array, Array]]
-    to_places: Callable[[Array, Array], tuple[Array, Array]]
-    operation: str
-    is_good: bool
-    vertical: str = ""
-    is_sea_level: bool = True
-    unit_m: float = 1.0
-
-
-def grid_system(
-    file_crs: str, stated_crs: str | None, *, corners: Array, heights: str, where: str, key: str
-) -> GridSystem:
-    """The coordinate system of a raster, WKT or EPSG, as it is in the file.
-
-    ``stated_crs`` : that of the mission file, None if it states none. ``corners`` (2, n) : x and y
-    of the raster's corners. ``heights`` : what its heights count from, as stated: msl or ellipsoid.
-    The vertical part may be in either. Refuses (InputError) as `places_of` does, and two systems
-    that differ (DEM-CRS).
-    """
-    horizontal, vertical = _parts_of_system(file_crs, heights, where, key)
-    stated, stated_vertical = _parts_of_system(stated_crs or file_crs, heights, where, key)
-    vertical = vertical or stated_vertical
-    if not horizontal.equals(stated, ignore_axis_order=True):
-        raise messages.dem_crs_stated(
-            where=where, own=horizontal.name, other=stated.name, named=key
-        )
-    lon_lat = _in_own_datum(horizontal, *corners)
-    is_known = np.isfinite(lon_lat).all(axis=0)
-    best = to_wgs84(horizontal, lon_lat[:, is_known], where, key)
-    system = GridSystem(
-        name=horizontal.name,
-        is_geographic=horizontal.is_geographic,
-        to_grid=partial(best.transformer.transform, direction="INVERSE"),
-        to_places=best.transformer.transform,
-        operation=best.description,
-        is_good=best.is_good,
-    )
-    if vertical is None:
-        return system
-    return replace(
-        system,
-        vertical=vertical.name,
-        is_sea_level=vertical.name in SEA_LEVELS,
-        unit_m=vertical.axis_info[0].unit_conversion_factor,
-    )
-
-
 def is_on_wgs84(crs: str) -> bool:
     """Whether PROJ knows a system, WKT or EPSG, and its ellipsoid is that of WGS 84 or GRS 80.
 
@@ -363,7 +365,7 @@ def is_on_wgs84(crs: str) -> bool:
     return ellipsoid is not None and abs(ellipsoid.semi_major_metre - WGS84_A) < 1.0
 
 
-def _parts_of_system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
+def horizontal_and_vertical(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
     """The horizontal part of a system, two-dimensional, and its vertical part, None without one.
 
     ``heights`` : what heights count from, as stated. Refuses what is not a system of positions

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from unbend.messages import Notes
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.coordinate_systems import GridSystem, grid_system
 from unbend.tables.geodata.gdal import (
     GDAL_OPTIONS,
     INDEX_FORMATS,
@@ -20,6 +19,7 @@ from unbend.tables.geodata.gdal import (
     may_unpack,
     opening_rasters,
 )
+from unbend.tables.geodata.raster_system import RasterSystem, raster_system
 from unbend.units import Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100  # of 1 MB
@@ -52,7 +52,7 @@ class ElevationModel:
     def __init__(
         self,
         rasters: "Sequence[_Raster]",
-        system: GridSystem,
+        system: RasterSystem,
         undulation: Callable[[Array, Array], Array] | None,
     ) -> None:
         self._rasters = rasters
@@ -434,7 +434,7 @@ def open_elevation(
     corners: list[tuple[float, float]] = []
     for raster in rasters:
         corners += raster.corners()
-    system = grid_system(
+    system = raster_system(
         _system_of_rasters(rasters, where) or _stated_system(crs, where),
         crs,
         corners=np.transpose(corners),

@@ -9,8 +9,11 @@ from unbend.block.oriented_images import CartesianFrame
 from unbend.geodesy import ecef_of_geodetic
 from unbend.messages import Notes
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.coordinate_systems import prime_meridian_deg
-from unbend.tables.geodata.transformations import BestOperation, to_wgs84
+from unbend.tables.geodata.coordinate_systems import (
+    BestOperation,
+    prime_meridian_deg,
+    to_wgs84,
+)
 from unbend.units import Array
 
 

@@ -19,10 +19,10 @@ from unbend.tables.geodata import messages
 from unbend.tables.geodata.coordinate_systems import (
     MARGIN_DEG,
     SEA_LEVELS,
+    best_operation,
     is_in_area,
 )
 from unbend.tables.geodata.geoid import package_geoid
-from unbend.tables.geodata.transformations import best_operation
 from unbend.units import WGS84_A, Array
 
 if TYPE_CHECKING:
