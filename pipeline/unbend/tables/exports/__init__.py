@@ -1,7 +1,7 @@
 """Files for other programs: the formats by name.
 
-A new format is a module beside this one, with its formats and their options in a tuple `FORMATS`,
-and its name in `MODULES`. The options of ``unbend export`` and their help are generated from that.
+A new format is a module in this folder, with its formats and their options in a tuple `FORMATS`,
+and an entry in `MODULES`. The options of ``unbend export`` and their help are generated from that.
 """
 
 import difflib

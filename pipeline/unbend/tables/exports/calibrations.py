@@ -173,8 +173,7 @@ class CorrectionSample:
 
     ``rays`` : the straight rays with the measured pixels and weights. ``correction_px`` (n, 2) :
     corrected less measured pixels. ``pixel_m`` (n,) : size of a pixel across the ray at the ground.
-    ``is_in_rms`` (n,) : the rows of which `rms` is, observations; nodes if there are no
-    observations.
+    ``is_in_rms`` (n,) : the rows that `rms` uses: observations, or nodes if there are none.
     """
 
     rays: fit.SeenRays

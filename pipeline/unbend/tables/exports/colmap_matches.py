@@ -24,7 +24,7 @@ from unbend.tables.imports.blocks.messages import matches_cut
 from unbend.units import Integers
 
 _MOST_IMAGES = 2_147_483_647  # COLMAP's kMaxNumImages: pair_id = first * this + second
-_CALIBRATED = 2  # configuration of two views whose cameras are calibrated
+_CALIBRATED = 2  # configuration of two views with calibrated cameras
 
 Row = tuple[Any, ...]
 """A row of a table of the database."""
@@ -132,8 +132,8 @@ def _copied_pair(
 ) -> tuple[int, int, bytes] | None:
     """pair_id, number of matches and their indices as bytes; None without a match that is kept.
 
-    ``matches`` (m, 2) are indices in the database that was read. Those are kept of which both
-    keypoints are in the block. The image of the smaller number comes first, as COLMAP requires.
+    ``matches`` (m, 2) are indices in the database that was read. A match is kept if both keypoints
+    are in the block. The image of the smaller number comes first, as COLMAP requires.
     """
     first_index = first.new_index.take(
         matches[:, 0],

@@ -27,7 +27,7 @@ from unbend.tables.exports.export_frames import can_be_placed
 from unbend.tables.exports.footprints import StationsInFrame, placed_stations, stations_in_one_frame
 from unbend.units import Array, Integers, Mask, Names
 
-EARTH_RADIUS_M = 6.371e6  # only for the distance to the ground, by which rays are weighted
+EARTH_RADIUS_M = 6.371e6  # for the distance to the ground, which only weights the rays
 
 _COLUMNS = ["point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
 _SCHEMA = pa.schema(
@@ -156,7 +156,7 @@ def block_of(
     *,
     intersect: bool = True,
 ) -> ExportedBlock:
-    """The block of a run, in one pass over its parts; memory holds some 70 bytes an observation.
+    """The block of a run, in one pass over its parts; in memory some 70 bytes an observation.
 
     ``intersect`` : compute object points; False for formats without them. Left out as losses
     (EXPORT-LEFT-OUT) are images without a usable station with their observations, observations of

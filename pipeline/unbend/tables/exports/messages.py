@@ -17,7 +17,7 @@ EXPORT_AIR_CHANGES = Code(
 
 
 def air_changes(*, where: str, count: int) -> Message:
-    """Radial tables of a flight whose air changes."""
+    """The air changes during the flight; radial tables have one profile each."""
     return warning(
         EXPORT_AIR_CHANGES,
         (
@@ -415,7 +415,7 @@ def no_calibration(*, where: Path | str) -> MissionError:
 
 
 def lattice_without_ground(*, where: str, count: int) -> Message:
-    """Images whose corrections are null in a lattice."""
+    """Images have a lattice without corrections, because their ground height is unknown."""
     return loss(
         EXPORT_NO_GROUND,
         (
@@ -457,7 +457,7 @@ EXPORT_NO_SIGMA = Code(
 
 
 def sigmas_missing(*, where: str, count: int) -> Message:
-    """Stations whose position has no sigma, in a database."""
+    """Stations in a database have no sigma of their position."""
     return fallback(
         EXPORT_NO_SIGMA,
         (

@@ -1,4 +1,4 @@
-"""The files and options by which GDAL reads a raster: the same on each machine."""
+"""The files and options with which GDAL reads a raster: the same on each machine."""
 
 import math
 import os
@@ -104,7 +104,7 @@ def _names_by_beginning(folder: Path, changed_ns: int) -> dict[str, list[str]]:
     """The sorted names in a folder, by each of their beginnings up to a dot, in lower case.
 
     a.tif.msk is in "", "a", "a.tif" and "a.tif.msk". ``changed_ns`` is the time of the folder's
-    last change, by which the result is cached; 0 for a folder that does not exist.
+    last change, a key of the cache; 0 for a folder that does not exist.
     """
     names: dict[str, list[str]] = {}
     if not changed_ns:

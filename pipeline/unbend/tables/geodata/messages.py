@@ -592,7 +592,7 @@ def geoid_header(*, where: Path | str) -> InputError:
 
 
 def geoid_size(*, where: Path | str, size: int, rows: int, columns: int) -> InputError:
-    """A .gtx is longer or shorter than its header says."""
+    """A .gtx is longer or shorter than its header states."""
     why = "{size} are not {rows} times {columns} values"
     return _no_geoid(where, why, size=Counted(size, "byte"), rows=rows, columns=columns)
 
