@@ -1,7 +1,7 @@
 """Files for other programs: the formats by name.
 
-A new format is a module beside this one, with its formats and their options in a tuple `FORMATS`,
-and its name in `MODULES`. The options of ``unbend export`` and their help are generated from that.
+A new format is a module in this folder, with its formats and their options in a tuple `FORMATS`,
+and an entry in `MODULES`. The options of ``unbend export`` and their help are generated from that.
 """
 
 import difflib
@@ -45,41 +45,48 @@ FORMATS: Mapping[str, ExportFormat] = {
 
 
 def formats_of_program(name: str) -> list[str]:
-    """The formats for a program, whose contents name it.
+    """Names of the formats for a program, by the words "for <name>:" in their contents.
 
     >>> formats_of_program("metashape"), formats_of_program("other")
     (['bundler'], [])
     """
-    words = f"for {name}:".casefold()
-    return [form.name for form in FORMATS.values() if words in form.contents.casefold()]
+    phrase = f"for {name}:".casefold()
+    return [form.name for form in FORMATS.values() if phrase in form.contents.casefold()]
 
 
 def find_format(name: str, out: Path) -> ExportFormat:
-    """The format of a name, for a file whose ending it has, or a folder.
+    """The format called ``name``, for results at ``out``: a file, or a folder.
+
+    Refuses (ConfigError) an unknown name (EXPORT-FORMAT), and an ``out`` without the ending of the
+    format (EXPORT-ENDING). A folder may have any ending that no format has.
 
     >>> find_format("lattice", Path("grid.parquet")).contents
     'dx, dy on a grid over each image'
     """
     form = FORMATS.get(name)
     if form is None:
-        near = difflib.get_close_matches(name, FORMATS, 2)
+        similar_names = difflib.get_close_matches(name, FORMATS, 2)
         raise messages.format_unknown(
             where="--format",
             name=name,
-            similar=" or ".join(near),
+            similar=" or ".join(similar_names),
             of_program=" or ".join(formats_of_program(name)),
             known=", ".join(FORMATS),
         )
-    fitting = [other for other, f in FORMATS.items() if f.ending == out.suffix.lower()]
-    if out.suffix.lower() != form.ending and (form.ending or fitting):
-        rename = out.with_suffix(form.ending).name or form.ending
-        other_names = ", ".join(fitting)
-        if form.ending:
-            raise messages.ending_of_file(
-                where=out, name=name, ending=form.ending, rename=rename, others=other_names
-            )
-        raise messages.ending_of_folder(where=out, name=name, rename=rename, others=other_names)
-    return form
+    ending = out.suffix.lower()
+    if ending == form.ending:
+        return form
+    formats_of_ending = [other.name for other in FORMATS.values() if other.ending == ending]
+    is_folder = not form.ending
+    if is_folder and not formats_of_ending:
+        return form
+    rename = out.with_suffix(form.ending).name or form.ending
+    others = ", ".join(formats_of_ending)
+    if is_folder:
+        raise messages.ending_of_folder(where=out, name=name, rename=rename, others=others)
+    raise messages.ending_of_file(
+        where=out, name=name, ending=form.ending, rename=rename, others=others
+    )
 
 
 __all__ = ["FORMATS", "ExportCamera", "ExportFormat", "FinishedRun", "Option", "find_format"]

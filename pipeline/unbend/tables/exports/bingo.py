@@ -1,13 +1,13 @@
 """BINGO's image.dat: image points in millimetres from the image's centre, y up.
 
-A line with the names of image and camera, a line with name, x and y for each point, and -99 at the
-end of each image. The centre is the corner of pixels (w/2, h/2) of COLMAP's. Names have at most 15
-characters: of longer ones the last 15, blanks as underscores, and ``names.csv`` has all that were
-changed. Written as documented; BINGO itself was not there to read it.
+For each image: a line with the names of image and camera, lines with name, x and y of each point,
+and a line -99. The centre is (w/2, h/2) in COLMAP's pixels. Names have at most 15 characters: of
+longer names the last 15 are written, blanks become underscores, and ``names.csv`` lists the changed
+names. Written as BINGO documents it; not tested with BINGO itself.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,90 +29,112 @@ from unbend.tables.exports.export_frames import ExportFrame, PixelFrame
 from unbend.tables.exports.exported_block import ExportedBlock, add_counts_of_block, block_of
 from unbend.units import Array
 
-_LONGEST = 15
+_MOST_CHARACTERS = 15  # of a name in BINGO
+
+# Rows: x and y against axes that are turned by 90 degrees counter-clockwise.
+_QUARTER_TURN = np.array([[0, 1], [-1, 0]])
 
 
 def short_names(names: Sequence[str], kind: str) -> list[str]:
-    """Names as BINGO takes them; refuses (MissionError EXPORT-NAMES) those that become the same.
+    """Names as BINGO takes them, in the same order: their last 15 characters, without blanks.
+
+    ``kind`` is what the names are of, for the message. Refuses (MissionError EXPORT-NAMES) two
+    names that become the same.
 
     >>> short_names(["strip 7/DSC_00012345.tif", "a 1"], "image")
     ['SC_00012345.tif', 'a_1']
     """
-    first: dict[str, str] = {}
+    name_of_short: dict[str, str] = {}
     for name in names:
-        short = re.sub(r"\s", "_", name)[-_LONGEST:] or "_"
-        if short in first:
+        short = re.sub(r"\s", "_", name)[-_MOST_CHARACTERS:] or "_"
+        if short in name_of_short:
             raise messages.names_too_long(
                 where="observations",
                 kind=kind,
-                one=first[short],
+                first=name_of_short[short],
                 other=name,
                 short=short,
-                longest=_LONGEST,
+                longest=_MOST_CHARACTERS,
             )
-        first[short] = name
-    return [*first]
+        name_of_short[short] = name
+    return [*name_of_short]
 
 
 def write_bingo(run: FinishedRun, values: Values, folder: Path, ledger: Ledger) -> int:
-    """image.dat, and names.csv where names were changed."""
+    """Write image.dat, and names.csv if names were changed; returns the number of image points."""
     block = block_of(run, ledger, intersect=False)
     add_counts_of_block(block, ledger)
     names = {
         "image": [*block.image],
         "camera": [*block.cameras],
-        "point": block.name.to_pylist(),
+        "point": block.point_name.to_pylist(),
     }
-    short = {kind: short_names(names_of_kind, kind) for kind, names_of_kind in names.items()}
-    sizes_mm = [pixel_mm(run, name, values) for name in block.cameras]
-    for name, size_mm in zip(block.cameras, sizes_mm, strict=True):
+    written = {kind: short_names(names_of_kind, kind) for kind, names_of_kind in names.items()}
+    pixel_sizes_mm = [pixel_mm(run, name, values) for name in block.cameras]
+    for name, size_mm in zip(block.cameras, pixel_sizes_mm, strict=True):
         if np.isnan(size_mm):
             raise messages.pixel_size_unknown(where="--pixel-um", name=name)
-    turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), values["quarter_turns"])
+    rotation = np.linalg.matrix_power(_QUARTER_TURN, values["quarter_turns"])
     with (folder / "image.dat").open("w", encoding="utf-8") as file:
-        for i, camera, here in block.images():
-            number = block.camera[i]
-            x_mm, y_mm = turn @ _from_middle_px(block, camera, here) * sizes_mm[number]
-            file.write(f"{short['image'][i]} {short['camera'][number]}\n")
-            for point, x, y in zip(block.point[here], x_mm, y_mm, strict=True):
-                file.write(f"{short['point'][point]} {x:.7f} {y:.7f}\n")
-            file.write("-99\n")
-    changed = _changed_names(names, short)
+        file.writelines(_lines_of_images(block, written, pixel_sizes_mm, rotation))
+    changed = _changed_names(names, written)
     if changed:
         table = pa.Table.from_pylist(changed)
         write_csv_stream(folder / "names.csv", table.schema, [table])
     return int(block.point.size)
 
 
-def _from_middle_px(
+def _lines_of_images(
+    block: ExportedBlock,
+    names: Mapping[str, Sequence[str]],
+    pixel_sizes_mm: Sequence[float],
+    rotation: Array,
+) -> Iterator[str]:
+    """The lines of image.dat.
+
+    ``names`` as they are written, by kind: image, camera, point. ``pixel_sizes_mm`` of the cameras.
+    ``rotation`` (2, 2) from x to the right, y up to the axes of BINGO's image.
+    """
+    for i, camera, image_points in block.images():
+        number = block.camera[i]
+        from_centre_px = _from_centre_px(block, camera, image_points)
+        x_mm, y_mm = rotation @ from_centre_px * pixel_sizes_mm[number]
+        yield f"{names['image'][i]} {names['camera'][number]}\n"
+        for point, x, y in zip(block.point[image_points], x_mm, y_mm, strict=True):
+            yield f"{names['point'][point]} {x:.7f} {y:.7f}\n"
+        yield "-99\n"
+
+
+def _from_centre_px(
     block: ExportedBlock,
     camera: Camera,
-    here: slice,
+    image_points: slice,
 ) -> Array:
-    """(2, n) x to the right and y up [px] of image points of a camera, from its middle."""
-    right_px = block.x_px[here] - 0.5 * camera.width_px
-    up_px = 0.5 * camera.height_px - block.y_px[here]
+    """(2, n) x to the right and y up [px], from the image's centre, of the image points."""
+    right_px = block.x_px[image_points] - 0.5 * camera.width_px
+    up_px = 0.5 * camera.height_px - block.y_px[image_points]
     return np.stack([right_px, up_px])
 
 
 def _changed_names(
     names: Mapping[str, list[str]],
-    short: Mapping[str, list[str]],
+    written: Mapping[str, list[str]],
 ) -> list[dict[str, str]]:
-    """The names that are written otherwise, one row each: kind, as written, and the name."""
+    """Rows of names.csv: the names that differ from the ``written`` ones, kind by kind."""
     rows = []
     for kind, names_of_kind in names.items():
-        for written, name in zip(short[kind], names_of_kind, strict=True):
-            if written != name:
-                rows.append({"kind": kind, "written": written, "name": name})
+        for written_name, name in zip(written[kind], names_of_kind, strict=True):
+            if written_name != name:
+                rows.append({"kind": kind, "written": written_name, "name": name})
     return rows
 
 
 _AXES_BY_TURNS = (("right", "up"), ("up", "left"), ("left", "down"), ("down", "right"))
+"""Directions of x and y in the image after 0, 1, 2 and 3 quarter turns counter-clockwise."""
 
 
 def frame_of_points(_: FinishedRun, values: Values) -> ExportFrame:
-    """Image points alone, in millimetres from the image's centre."""
+    """The frame of image.dat: image points only, in millimetres from the image's centre."""
     axes = _AXES_BY_TURNS[values["quarter_turns"]]
     return ExportFrame(pixels=PixelFrame("centre of the image", axes, "mm"))
 

@@ -1,12 +1,12 @@
 """Bundler's reconstruction, undistorted and centred: the way into Metashape.
 
 Image points count from the image's centre, x to the right, y up, in pixels; cameras look along -z.
-Bundler has a focal length f, k1 and k2, and no principal point. So the points are those of an ideal
-camera, f the principal distance along x, the principal point in the middle and k1 = k2 = 0: that
-holds every distortion. ``calibration.json`` beside it has the ideal camera and the one that the
-images were taken with, the air in its lens included; that one is a calibration of Metashape's too,
-in a file for each camera. Where a program counts its pixels from drops out: the middle is (w/2,
-h/2) of COLMAP's. Points that were measured in one image only are left out.
+Bundler has a focal length f, k1 and k2, and no principal point. So the points are written as an
+ideal camera sees them: f is the principal distance along x, the principal point is in the middle,
+(w/2, h/2) in COLMAP's pixels, and k1 = k2 = 0. That works for any distortion. ``calibration.json``
+has the ideal camera and the camera that the images were taken with, the air in its lens included;
+the latter is also written as Metashape's calibration, a file for each camera. Points that were
+measured in one image only are left out.
 """
 
 import json
@@ -24,7 +24,7 @@ from unbend.refraction.camera.camera import Camera
 from unbend.tables.exports import messages
 from unbend.tables.exports.export_format import ExportFormat, FinishedRun, Values
 from unbend.tables.exports.export_frames import (
-    PHOTOGRAMMETRIC,
+    PHOTOGRAMMETRIC_AXES,
     ExportFrame,
     PixelFrame,
     angles_of_block,
@@ -42,12 +42,16 @@ from unbend.units import PPM, Array, Integers
 
 
 def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
-    """bundle.out (v0.3), list.txt with the images in its order, and the calibrations."""
+    """Write bundle.out (v0.3), list.txt with the images in its order, and the calibrations.
+
+    Returns the number of image points written.
+    """
     block = block_of(run, ledger)
     refuse_names(block.image, r"[\s\"]", "Bundler")
-    xy = _centred_points(block)
-    views_of_point = np.bincount(block.point[np.isfinite(xy[:, 0])], minlength=block.count.size)
-    tied = np.flatnonzero(views_of_point > 1)
+    xy = _ideal_image_points(block)
+    points_with_xy = block.point[np.isfinite(xy[:, 0])]
+    views_of_point = np.bincount(points_with_xy, minlength=block.images_of_point.size)
+    tied = np.flatnonzero(views_of_point > 1)  # the points that are written
     written = int(views_of_point[tied].sum())
     add_counts_written(block, ledger, image_points=written, points=tied.size)
     report_unwritten(block, written, ledger)
@@ -61,7 +65,7 @@ def write_bundler(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> 
 
 
 def _write_calibrations(run: FinishedRun, block: ExportedBlock, folder: Path) -> None:
-    """calibration.json, and for each camera that Metashape can hold a calibration for it."""
+    """Write calibration.json, and Metashape's XML of each camera that Metashape supports."""
     calibrations = {}
     files: list[str] = []
     for number, (name, camera) in enumerate(block.cameras.items()):
@@ -86,7 +90,10 @@ def _write_calibrations(run: FinishedRun, block: ExportedBlock, folder: Path) ->
 
 
 def _unused_name(name: str, files: Collection[str]) -> str:
-    """The name of an XML that no other camera has: two names may differ in what files cannot."""
+    """``name``.xml, with underscores before the ending until it is not among ``files``.
+
+    Upper and lower case count as equal: some file systems do not distinguish them.
+    """
     in_use = {file.lower() for file in files}
     while f"{name}.xml".lower() in in_use:
         name += "_"
@@ -94,8 +101,11 @@ def _unused_name(name: str, files: Collection[str]) -> str:
 
 
 def report_unwritten(block: ExportedBlock, written: int, ledger: Ledger) -> None:
-    """Image points that the file lacks: alone of their object point, or not to be undistorted."""
-    single = int(np.sum(block.count[block.point] < 2))
+    """Add to the ledger how many image points of the block are not among the ``written`` ones.
+
+    They are the only one of their object point, or cannot be undistorted.
+    """
+    single = int(np.sum(block.images_of_point[block.point] < 2))
     if single:
         not_written = messages.single_points_not_written(
             where="observations",
@@ -108,24 +118,29 @@ def report_unwritten(block: ExportedBlock, written: int, ledger: Ledger) -> None
         ledger.add(messages.points_beyond_distortion(where="observations", count=beyond))
 
 
-def _centred_points(block: ExportedBlock) -> Array:
-    """(r, 2) ideal image points [px] from the middle of the image, y up; NaN for none."""
+def _ideal_image_points(block: ExportedBlock) -> Array:
+    """(r, 2) undistorted x right, y up [px] from the principal point; NaN without an inverse.
+
+    Both in units of fx: Bundler has one focal length.
+    """
     xy = np.full((block.point.size, 2), np.nan)
-    for _i, camera, here in block.images():
-        u, v = ideal_coordinates(camera, block.x_px[here], block.y_px[here])
-        xy[here] = np.stack([camera.fx_px * u, -camera.fx_px * v], axis=1)
+    for _i, camera, image_points in block.images():
+        u, v = ideal_coordinates(camera, block.x_px[image_points], block.y_px[image_points])
+        xy[image_points] = np.stack([camera.fx_px * u, -camera.fx_px * v], axis=1)
     return xy
 
 
 def _lines_of_cameras(block: ExportedBlock) -> Iterator[str]:
-    """Five lines for each image: f, k1 and k2, the rotation, the translation."""
+    """Five lines for each image: f, k1 and k2; the rotation in three; the translation."""
     cameras = list(block.cameras.values())
-    to_bundler = np.diag([1.0, -1.0, -1.0])
-    for number, turn, move in zip(block.camera, block.rotation, block.moved_m, strict=True):
+    to_bundler = np.diag([1.0, -1.0, -1.0])  # from y down, z forward to y up, z backward
+    for number, rotation, translation_m in zip(
+        block.camera, block.rotation, block.translation_m, strict=True
+    ):
         rows = [
             [cameras[number].fx_px, 0.0, 0.0],
-            *to_bundler @ turn,
-            to_bundler @ move,
+            *to_bundler @ rotation,
+            to_bundler @ translation_m,
         ]
         for row in rows:
             yield " ".join(repr(float(value)) for value in row) + "\n"
@@ -136,29 +151,36 @@ def _lines_of_points(
     xy: Array,
     tied: Integers,
 ) -> Iterator[str]:
-    """Three lines for each point: its place, its colour, and its views with their image points."""
-    order, begin, images = block.image_points_by_point()
-    place_in_image = order - block.first[images]
+    """Three lines for each point: position; colour; number of views, and the views.
+
+    A view is the number of the image, the number of the image point in it, x and y. ``xy`` (r, 2)
+    are the image points of the block, NaN for those that are not written; ``tied`` (t,) are the
+    numbers of the points to write.
+    """
+    by_point = block.image_points_by_point()
     for point in tied:
         views = []
-        for k in range(begin[point], begin[point + 1]):
-            x, y = xy[order[k]]
+        for k in range(by_point.begin[point], by_point.begin[point + 1]):
+            x, y = xy[by_point.image_point[k]]
             if np.isfinite(x):
-                views.append(f"{images[k]} {place_in_image[k]} {x!s} {y!s}")
-        place = " ".join(map(str, block.point_m[point]))
-        yield f"{place}\n128 128 128\n{len(views)} {' '.join(views)}\n"
+                views.append(f"{by_point.image[k]} {by_point.number_in_image[k]} {x!s} {y!s}")
+        position = " ".join(map(str, block.point_m[point]))
+        yield f"{position}\n128 128 128\n{len(views)} {' '.join(views)}\n"
 
 
 def _lens_change(run: FinishedRun, name: str) -> float:
-    """The median change of a camera's principal distance by the air in its lens, a part of it."""
-    changes_px = run.exposures.changes_px[run.rows_of(name)]
+    """The median relative change of a camera's principal distance by the air in its lens.
+
+    0 without a usable station of the camera.
+    """
+    changes_px = run.exposures.changes_px[run.usable_rows(name)]
     if not changes_px.size:
         return 0.0
     return float(np.median(changes_px)) / run.cameras[name].camera.fx_px
 
 
 def _ideal_camera(camera: Camera) -> dict[str, float]:
-    """The camera of the points that are written."""
+    """The ideal camera of bundle.out; its principal point counts from the image's centre."""
     return {
         "f_px": camera.fx_px,
         "k1": 0.0,
@@ -169,10 +191,11 @@ def _ideal_camera(camera: Camera) -> dict[str, float]:
 
 
 def _original_camera(camera: Camera, lens_change: float) -> dict[str, Any]:
-    """The camera that the images were taken with.
+    """The camera that the images were taken with, for calibration.json.
 
-    ``lens_change`` is what the air in the lens added to the calibrated principal distance, as a
-    part of it; where the run removed it, the images still have it.
+    ``camera`` has the principal distance with the air in the lens: the run removed this change
+    from the image points, but the images still have it. ``lens_change`` is that change, relative
+    to the calibrated principal distance.
     """
     taken_with = {key: getattr(camera, key) for key in camera.__dataclass_fields__}
     taken_with["lens_change_ppm"] = lens_change / PPM
@@ -185,10 +208,10 @@ def _original_camera(camera: Camera, lens_change: float) -> dict[str, Any]:
 
 
 def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
-    """East, north, up at the origin, rotation matrices, pixels from the image's centre."""
+    """The frame of bundle.out: east, north, up at the origin, pixels from the image's centre."""
     return ExportFrame(
         positions=block_positions(run.stations),
-        angles=angles_of_block("rotation_matrix", PHOTOGRAMMETRIC),
+        angles=angles_of_block("rotation_matrix", PHOTOGRAMMETRIC_AXES),
         pixels=PixelFrame("centre of the image", ("right", "up"), "px"),
     )
 

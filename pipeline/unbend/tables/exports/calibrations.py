@@ -1,8 +1,8 @@
-"""Calibrations that stand for the refraction of a block, for programs that keep their tie points.
+"""Calibrations that contain the refraction of a block, for programs that keep their tie points.
 
-A folder: a report, which images each calibration is for, cameras in the files of programs that
-project rays into the image, and the change and its radial table for those that correct measured
-points. The fit is in `unbend.block.calibration_fit`.
+A folder: a report, the images of each calibration, cameras in the files of programs that project
+rays into the image, and, for programs that correct measured points, the change of the correction
+with its radial table. The fit is in `unbend.block.calibration_fit`.
 """
 
 import json
@@ -39,25 +39,27 @@ from unbend.tables.exports.metashape_calibration import name_of_file, write_meta
 from unbend.tables.exports.opensfm_project import opensfm_camera
 from unbend.units import Array, Integers, Mask
 
-_FLAGGED = 0.1  # part of the refraction that is left, beyond which a calibration is reported
-_REFUSED = 0.5  # and refused
-_NOTHING_PX = 0.02  # what no adjustment sees
-_GOOD = 0.05  # f and k1 do where they leave this part of the refraction
-_AS_GOOD = 1.2  # or so many times what all parameters leave
-# A lattice over some images holds the calibration where nothing was measured.
-_MOST_IMAGES = 60
-_COLUMNS = 15
-_ROWS = 11
-_NODE_WEIGHT = 0.1  # of all nodes together, of the observations' 1
-_MOST_ROWS = 200_000
-_LARGEST_ZETA_RAD = np.radians(80.0)
-_LARGEST_MISFIT_PX = 0.02
+_REPORTED_SHARE = 0.1  # residual over refraction from which a calibration is a loss
+_REFUSED_SHARE = 0.5  # and from which it is refused,
+_NEGLIGIBLE_PX = 0.02  # unless the residual is smaller than this, which no adjustment notices
+_GOOD_SHARE = 0.05  # f and k1 suffice if their residual is less than this share of the refraction,
+_GOOD_RATIO = 1.2  # or than this times the residual of all parameters
+
+# Nodes of a lattice over some images constrain the calibration where nothing was measured.
+_MOST_IMAGES_WITH_NODES = 60
+_NODE_COLUMNS = 15
+_NODE_ROWS = 11
+_NODES_WEIGHT = 0.1  # of all nodes together, that of all observations being 1
+
+_MOST_OBSERVATIONS = 200_000  # that are read, of all cameras
+_LARGEST_ZETA_RAD = np.radians(80.0)  # nadir angle of nodes
+_LARGEST_MISFIT_PX = 0.02  # of a simplified lens that is not reported
 _RADII = 25  # of a table of radial corrections
 _PIXELS = ["x_px", "y_px", "x_corrected_px", "y_corrected_px"]
 
 
 class Rms(NamedTuple):
-    """Root mean squares in the image [px], and across the rays at the ground [m]."""
+    """Root mean square of shifts, in the image [px] and across the rays at the ground [m]."""
 
     px: float
     m: float
@@ -67,10 +69,11 @@ class Rms(NamedTuple):
 class FittedCalibration:
     """The calibration of a camera for one flying height.
 
-    ``stations`` are the rows of its images; ``base`` is the calibrated camera in the model that is
-    written, ``camera`` that which stands for refraction, ``change`` the same for measured points.
-    ``effect`` is that of refraction; what both calibrations leave of it stands beside it.
-    ``pixel_mm`` is NaN where it is not known.
+    ``name`` is that of the calibration. ``stations`` (n,) are the rows of its images. ``base`` is
+    the calibrated camera in the lens model that is written, ``camera`` the same with refraction;
+    ``change`` is the equivalent for programs that correct measured points. ``pixel_mm`` is NaN if
+    it is unknown; ``heights`` describes the flying height. ``effect`` is the size of the
+    refraction, the residuals are what ``camera`` and ``change`` do not reproduce of it.
     """
 
     name: str
@@ -82,18 +85,22 @@ class FittedCalibration:
     pixel_mm: float
     heights: str
     effect: Rms
-    left_by_camera: Rms
-    left_by_change: Rms
+    residual_of_camera: Rms
+    residual_of_change: Rms
 
     @property
-    def part(self) -> float:
-        """The largest part of the effect that is left."""
-        left_px = max(self.left_by_camera.px, self.left_by_change.px)
-        return left_px / max(self.effect.px, 1e-12)
+    def residual_share(self) -> float:
+        """The larger of the two residuals over the refraction, in the image."""
+        residual_px = max(self.residual_of_camera.px, self.residual_of_change.px)
+        return residual_px / max(self.effect.px, 1e-12)
 
 
 def write_calibrations(run: FinishedRun, values: Values, path: Path, ledger: Ledger) -> int:
-    """The files of all calibrations; the number of images they are for."""
+    """Write the files of all calibrations; returns the number of images that have one.
+
+    Refuses (MissionError) a run without ground heights (EXPORT-NO-GROUND), and a calibration that
+    does not contain most of the refraction (EXPORT-RESIDUAL).
+    """
     observed = observed_corrections(run)
     calibrations = []
     for name, stations in flying_heights(run, values["same_height"] / 100.0, ledger):
@@ -103,7 +110,7 @@ def write_calibrations(run: FinishedRun, values: Values, path: Path, ledger: Led
         raise messages.no_calibration(where="observations")
     rows = []
     for fitted in calibrations:
-        _judge(fitted, ledger)
+        _check_residual(fitted, ledger)
         for station in fitted.stations:
             rows.append((run.stations.image[station], fitted.camera_name, fitted.name))
     (path / "calibration.txt").write_text(report_of(calibrations), encoding="utf-8")
@@ -115,47 +122,44 @@ def write_calibrations(run: FinishedRun, values: Values, path: Path, ledger: Led
     return len(rows)
 
 
-def _judge(fitted: FittedCalibration, ledger: Ledger) -> None:
-    """Report a calibration that leaves a part of the refraction; refuse one that leaves most."""
+def _check_residual(fitted: FittedCalibration, ledger: Ledger) -> None:
+    """Add a loss for a calibration with a large residual; refuse one with a very large residual."""
     where = f"cameras.{fitted.camera_name}"
-    left = max(fitted.left_by_camera, fitted.left_by_change)
-    percent = 100.0 * fitted.part
-    if fitted.part > _REFUSED and left.px > _NOTHING_PX:
+    residual = max(fitted.residual_of_camera, fitted.residual_of_change)  # the larger in px
+    share = fitted.residual_share
+    if share > _REFUSED_SHARE and residual.px > _NEGLIGIBLE_PX:
         raise messages.calibration_impossible(
             where=where,
             name=fitted.name,
-            percent=percent,
-            left=left,
+            percent=100.0 * share,
+            residual=residual,
             effect=fitted.effect,
         )
-    if fitted.part > _FLAGGED:
+    if share > _REPORTED_SHARE:
         leaves = messages.calibration_leaves(
             where=where,
             count=fitted.stations.size,
             name=fitted.name,
-            percent=percent,
-            left=left,
+            percent=100.0 * share,
+            residual=residual,
             effect=fitted.effect,
         )
         ledger.add(leaves)
 
 
-STATION = 0
-MEASURED = slice(1, 3)
-CORRECTED = slice(3, 5)
-NADIR_ANGLE = 5
-GROUND = 6
-"""Rows of `observed_corrections`: x and y in COLMAP's pixels, nadir angle [rad], height [m]."""
+STATION = 0  # row of the station
+MEASURED = slice(1, 3)  # x and y, COLMAP's pixels
+CORRECTED = slice(3, 5)  # x and y, COLMAP's pixels
+NADIR_ANGLE = 5  # of the ray at the camera [rad]
+GROUND = 6  # height of the point above sea level [m]
+"""Rows of `observed_corrections`."""
 
 
 def observed_corrections(run: FinishedRun) -> Array:
-    """(7, n) corrected observations spread over the run's, in COLMAP's pixels.
-
-    Rows: station, measured x and y, corrected x and y, nadir angle [rad], height of the point [m].
-    """
+    """(7, n) observations of status ok, every k-th of the run: rows `STATION` to `GROUND`."""
     parts = [np.empty((7, 0))]
     columns = [*_PIXELS, "zeta_c_rad", "h_g_m", "status"]
-    for station, table in run.observations(columns, _MOST_ROWS):
+    for station, table in run.observations(columns, _MOST_OBSERVATIONS):
         points = [run.pixels.to_colmap(table[name].to_numpy()) for name in _PIXELS]
         rows = np.stack([station, *points, table["zeta_c_rad"], table["h_g_m"]])
         is_ok = pc.equal(table["status"], "ok").to_numpy()
@@ -164,38 +168,39 @@ def observed_corrections(run: FinishedRun) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenCorrections:
-    """What some stations of a camera saw, at their observations and at the nodes of a lattice.
+class CorrectionSample:
+    """Corrections of a camera at some stations: at observations and at nodes of a lattice, (n,).
 
-    ``moved_px`` (n, 2) is the correction, ``pixel_m`` (n,) the size of a pixel across the ray at
-    the ground; ``is_judged`` (n,) are the rows to judge by: observations, or nodes where there is
-    none.
+    ``rays`` : the straight rays with the measured pixels and weights. ``correction_px`` (n, 2) :
+    corrected less measured pixels. ``pixel_m`` (n,) : size of a pixel across the ray at the ground.
+    ``is_in_rms`` (n,) : the rows that `rms` uses: observations, or nodes if there are none.
     """
 
     rays: fit.SeenRays
-    moved_px: Array
+    correction_px: Array
     pixel_m: Array
-    is_judged: Mask
+    is_in_rms: Mask
 
-    def rms(self, left_px: Array) -> Rms:
-        """Root mean square of (n, 2) what is left in the image."""
-        square = np.sum(left_px**2, axis=1)[self.is_judged]
-        square_m2 = square * self.pixel_m[self.is_judged] ** 2
+    def rms(self, shift_px: Array) -> Rms:
+        """Root mean square length of shifts (n, 2) in the image."""
+        square_px2 = np.sum(shift_px**2, axis=1)[self.is_in_rms]
+        square_m2 = square_px2 * self.pixel_m[self.is_in_rms] ** 2
         return Rms(
-            px=float(np.sqrt(np.mean(square))),
+            px=float(np.sqrt(np.mean(square_px2))),
             m=float(np.sqrt(np.mean(square_m2))),
         )
 
 
-def seen_rays(
+def correction_sample(
     run: FinishedRun,
     camera: str,
     stations: Integers,
     observed: Array,
-) -> SeenCorrections:
-    """What some stations of a camera saw: observations (7, n) of the run, and nodes.
+) -> CorrectionSample:
+    """The corrections of a camera at some of its stations.
 
-    Observations together have the weight 1 a row in the mean, nodes a tenth of theirs.
+    ``stations`` (s,) are rows, ``observed`` (7, m) the `observed_corrections` of the run. The
+    weights of all observations add up to the number of rows, those of all nodes to a tenth of it.
     """
     calibrated = run.cameras[camera].camera
     nodes = _lattice_corrections(run, camera, stations)
@@ -206,20 +211,20 @@ def seen_rays(
     u, v, covered = calibrated.rays(*rows[CORRECTED])
     rows = rows[:, covered]
     is_node = is_node[covered]
-    node_weight = _NODE_WEIGHT / is_node.sum()
+    node_weight = _NODES_WEIGHT / is_node.sum()
     observation_weight = 1.0 / max(1, (~is_node).sum())
     weight = np.where(is_node, node_weight, observation_weight)
     height_m = run.exposures.height_m[rows[STATION].astype(int)]
     distance_m = (height_m - rows[GROUND]) / np.cos(rows[NADIR_ANGLE])
-    return SeenCorrections(
+    return CorrectionSample(
         rays=fit.SeenRays(
             np.stack([u, v], axis=1)[covered],
             rows[MEASURED].T,
             weight * is_node.size,
         ),
-        moved_px=(rows[CORRECTED] - rows[MEASURED]).T,
+        correction_px=(rows[CORRECTED] - rows[MEASURED]).T,
         pixel_m=distance_m / calibrated.fx_px,
-        is_judged=is_node if is_node.all() else ~is_node,
+        is_in_rms=is_node if is_node.all() else ~is_node,
     )
 
 
@@ -228,10 +233,14 @@ def _lattice_corrections(
     camera: str,
     stations: Integers,
 ) -> Array:
-    """As `observed_corrections`, at the nodes of a lattice over some images of a camera."""
-    sampled = np.linspace(0, stations.size - 1, min(stations.size, _MOST_IMAGES)).round()
+    """(7, n) rows as of `observed_corrections`, at the nodes of a lattice over each image.
+
+    Of the stations (s,) of the camera, some tens are taken at equal steps.
+    """
+    images = min(stations.size, _MOST_IMAGES_WITH_NODES)
+    sampled = np.linspace(0, stations.size - 1, images).round()
     sampled_stations = stations[sampled.astype(int)]
-    x, y = lattice_nodes(run.cameras[camera].camera, _COLUMNS, _ROWS)
+    x, y = lattice_nodes(run.cameras[camera].camera, _NODE_COLUMNS, _NODE_ROWS)
     parts = []
     for part, corrections in lattice_parts(run, camera, sampled_stations, (x, y)):
         rows = [
@@ -256,34 +265,41 @@ def fit_calibration(
     values: Values,
     ledger: Ledger,
 ) -> FittedCalibration:
-    """The calibration of some images of a camera, by as few parameters as do."""
+    """Fit the calibration of a camera to the corrections at some of its stations.
+
+    It changes f and k1 if they suffice, else all parameters of the camera's model. ``name`` is that
+    of the camera, ``stations`` (s,) are rows, ``observed`` (7, m) `observed_corrections`,
+    ``values`` the options of the format.
+    """
     calibrated = run.cameras[name]
     if calibrated.has_refraction:
         ledger.add(
             messages.calibration_holds_refraction(where=f"cameras.{name}.calibration", name=name)
         )
-    seen = seen_rays(run, name, stations, observed)
-    base = as_written(calibrated.camera, name, ledger)
-    effect = seen.rms(seen.moved_px)
-    camera = fit.changed_camera(base, seen.rays, fit.FEW)
-    full_camera = fit.changed_camera(base, seen.rays, fit.FULL)
-    left_by_camera = seen.rms(seen.rays.left_px(camera))
-    left_by_full = seen.rms(seen.rays.left_px(full_camera))
-    unknowns: Sequence[str] = ("c", "k1")
-    if left_by_camera.px > max(_GOOD * effect.px, _AS_GOOD * left_by_full.px):
+    sample = correction_sample(run, name, stations, observed)
+    base = in_common_model(calibrated.camera, name, ledger)
+    effect = sample.rms(sample.correction_px)
+    camera = fit.changed_camera(base, sample.rays, fit.FEW)
+    full_camera = fit.changed_camera(base, sample.rays, fit.FULL)
+    residual = sample.rms(sample.rays.left_px(camera))
+    full_residual = sample.rms(sample.rays.left_px(full_camera))
+    unknowns_of_change: Sequence[str] = ("c", "k1")
+    if residual.px > max(_GOOD_SHARE * effect.px, _GOOD_RATIO * full_residual.px):
         camera = full_camera
-        left_by_camera = left_by_full
-        unknowns = fit.CORRECTIONS
-    change, left_px = fit.correction_change(calibrated.camera, seen.rays, unknowns)
+        residual = full_residual
+        unknowns_of_change = fit.CORRECTIONS
+    change, change_residual_px = fit.correction_change(
+        calibrated.camera, sample.rays, unknowns_of_change
+    )
     height_m = run.exposures.height_m[stations]
     ground_m = run.ground_m[stations]
-    above_m = height_m - ground_m
+    above_ground_m = height_m - ground_m
     heights = (
-        f"{above_m.min():.0f} to {above_m.max():.0f} m above the ground (cameras "
+        f"{above_ground_m.min():.0f} to {above_ground_m.max():.0f} m above the ground (cameras "
         f"{np.median(height_m):.0f}, ground {np.median(ground_m):.0f} m above sea level)"
     )
     return FittedCalibration(
-        name=f"{name_of_file(name)}_{np.median(above_m):.4g}m",
+        name=f"{name_of_file(name)}_{np.median(above_ground_m):.4g}m",
         camera_name=name,
         stations=stations,
         base=base,
@@ -292,16 +308,20 @@ def fit_calibration(
         pixel_mm=pixel_mm(run, name, values),
         heights=heights,
         effect=effect,
-        left_by_camera=left_by_camera,
-        left_by_change=seen.rms(left_px),
+        residual_of_camera=residual,
+        residual_of_change=sample.rms(change_residual_px),
     )
 
 
-def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
-    """A camera as Brown-Conrady or fisheye, which all programs have (ledger: EXPORT-MODEL)."""
+def in_common_model(camera: Camera, name: str, ledger: Ledger) -> Camera:
+    """A camera in a lens model that all programs have: Brown-Conrady, or OpenCV's fisheye.
+
+    A camera of another model becomes Brown-Conrady by a fit over the image; a misfit above 0.02 px
+    is added as a loss (EXPORT-MODEL). ``name`` is for that message.
+    """
     if isinstance(camera.distortion, BrownConrady | OpenCVFisheye):
         return camera
-    x, y = lattice_nodes(camera, 2 * _COLUMNS, 2 * _ROWS)
+    x, y = lattice_nodes(camera, 2 * _NODE_COLUMNS, 2 * _NODE_ROWS)
     u, v, covered = camera.rays(x, y)
     rays = fit.SeenRays(
         np.stack([u, v], axis=1)[covered],
@@ -309,21 +329,22 @@ def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
         np.ones(covered.sum()),
     )
     lens = camera.distortion
-    radial = BrownConrady(lens.k1, lens.k2, lens.k3)
-    written = fit.changed_camera(replace(camera, distortion=radial), rays, fit.FULL)
-    misfit_px = float(np.hypot(*rays.left_px(written).T).max())
+    first_guess = BrownConrady(lens.k1, lens.k2, lens.k3)
+    fitted = fit.changed_camera(replace(camera, distortion=first_guess), rays, fit.FULL)
+    misfit_px = float(np.hypot(*rays.left_px(fitted).T).max())
     if misfit_px > _LARGEST_MISFIT_PX:
         ledger.add(messages.lens_simplified(where=f"cameras.{name}", name=name, misfit=misfit_px))
-    return written
+    return fitted
 
 
 def report_of(calibrations: Sequence[FittedCalibration]) -> str:
-    """What the report says: how calibrations are used, and what each holds and leaves."""
-    from jinja2 import StrictUndefined, Template  # which no run needs
+    """The text of the report: how calibrations are used, their parameters and residuals."""
+    from jinja2 import StrictUndefined, Template  # imported here because runs do not need it
 
-    def numbers(fitted: FittedCalibration) -> Iterator[tuple[str, float, float]]:
+    def parameters(fitted: FittedCalibration) -> Iterator[tuple[str, float, float]]:
+        """Name, value before and value after of each parameter."""
         names = ("fx", "fy", "cx", "cy", *fitted.base.distortion._fields)
-        return zip(names, _numbers(fitted.base), _numbers(fitted.camera), strict=True)
+        return zip(names, _parameters(fitted.base), _parameters(fitted.camera), strict=True)
 
     text = files("unbend.tables").joinpath("data/calibrations.txt.j2").read_text("utf-8")
     template = Template(
@@ -332,46 +353,55 @@ def report_of(calibrations: Sequence[FittedCalibration]) -> str:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    return str(template.render(found=calibrations, numbers=numbers))
+    return str(template.render(calibrations=calibrations, parameters=parameters))
 
 
-def _numbers(camera: Camera) -> list[float]:
+def _parameters(camera: Camera) -> list[float]:
     """fx, fy, cx, cy [px] and the coefficients of a camera."""
-    numbers = [
+    parameters = [
         camera.fx_px,
         camera.fy_px,
         camera.cx_px,
         camera.cy_px,
         *camera.distortion,
     ]
-    return [float(number) for number in numbers]
+    return [float(parameter) for parameter in parameters]
 
 
 def radial_corrections(fitted: FittedCalibration) -> pd.DataFrame:
-    """What is added to radii, with the new principal distance and with the calibrated one."""
+    """What is added to radii, from the principal point to the farthest corner.
+
+    ``dr`` goes with the new principal distance, ``dr_same_c`` with the calibrated one. Columns in
+    mm and um are NaN if the size of a pixel is unknown.
+    """
     camera = fitted.base
-    c = camera.fx_px
-    x, y = lattice_nodes(camera, 2, 2)
-    corner_px = np.hypot(x - camera.cx_px, y - camera.cy_px).max()
-    r = np.linspace(0.0, np.ceil(corner_px), _RADII) / c
+    c_px = camera.fx_px
+    corner_x, corner_y = lattice_nodes(camera, 2, 2)
+    farthest_px = np.hypot(corner_x - camera.cx_px, corner_y - camera.cy_px).max()
+    # Radii in units of the principal distance c.
+    r = np.linspace(0.0, np.ceil(farthest_px), _RADII) / c_px
     dr = fitted.change.radial(r)
-    same_c = (r + dr) / (1.0 + fitted.change.c) - r
-    mm = c * fitted.pixel_mm
+    dr_same_c = (r + dr) / (1.0 + fitted.change.c) - r
+    c_mm = c_px * fitted.pixel_mm
     return pd.DataFrame(
         {
             "calibration": fitted.name,
-            "radius_px": r * c,
-            "dr_px": dr * c,
-            "dr_same_c_px": same_c * c,
-            "radius_mm": r * mm,
-            "dr_um": dr * mm * 1e3,
-            "dr_same_c_um": same_c * mm * 1e3,
+            "radius_px": r * c_px,
+            "dr_px": dr * c_px,
+            "dr_same_c_px": dr_same_c * c_px,
+            "radius_mm": r * c_mm,
+            "dr_um": dr * c_mm * 1e3,
+            "dr_same_c_um": dr_same_c * c_mm * 1e3,
         }
     )
 
 
 def write_cameras(calibrations: Sequence[FittedCalibration], path: Path) -> None:
-    """cameras.txt of COLMAP, camera_models.json of OpenSfM; for each an XML and OpenCV's YAML."""
+    """Write the fitted cameras into the folder ``path``.
+
+    All in cameras.txt of COLMAP and camera_models.json of OpenSfM; each in an XML of Metashape and
+    a YAML of OpenCV.
+    """
     colmap = ["#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"]
     opensfm = {}
     for number, fitted in enumerate(calibrations, start=1):
@@ -388,7 +418,10 @@ def write_cameras(calibrations: Sequence[FittedCalibration], path: Path) -> None
 
 
 def _write_opencv(camera: Camera, parameters: Sequence[float], path: Path) -> None:
-    """OpenCV's YAML, of COLMAP's ``parameters``: the centre of the first pixel is (0, 0)."""
+    """Write a camera as OpenCV's YAML, in which the centre of the first pixel is (0, 0).
+
+    ``parameters`` are those of COLMAP's OPENCV_FISHEYE or FULL_OPENCV.
+    """
     fx, fy = parameters[:2]
     cx, cy = parameters[2:4]
     is_fisheye = isinstance(camera.distortion, OpenCVFisheye)
@@ -401,7 +434,7 @@ def _write_opencv(camera: Camera, parameters: Sequence[float], path: Path) -> No
 
 
 def _opencv_matrix(name: str, values: Sequence[float], *, rows: int) -> str:
-    """The lines of a matrix in OpenCV's YAML."""
+    """The lines of a matrix in OpenCV's YAML; ``values`` row by row."""
     return (
         f"{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {len(values) // rows}\n"
         f"   dt: d\n   data: [ {', '.join(map(repr, values))} ]\n"

@@ -1,7 +1,7 @@
 """Matches of the images of a block as COLMAP's database has them, made new or copied.
 
-Points tie each pair of their images; where the run read a database, its own matches and geometries
-are copied, for the keypoints that are still there.
+New matches tie each pair of images of a point. If the run read a database, its matches and
+geometries are copied, for the keypoints that the block still has.
 """
 
 import sqlite3
@@ -23,8 +23,8 @@ from unbend.tables.imports.blocks.colmap import opened
 from unbend.tables.imports.blocks.messages import matches_cut
 from unbend.units import Integers
 
-_MOST_IMAGES = 2_147_483_647  # of pair_id = first * this + second
-_CALIBRATED = 2  # configuration of two views whose cameras are calibrated
+_MOST_IMAGES = 2_147_483_647  # COLMAP's kMaxNumImages: pair_id = first * this + second
+_CALIBRATED = 2  # configuration of two views with calibrated cameras
 
 Row = tuple[Any, ...]
 """A row of a table of the database."""
@@ -32,22 +32,24 @@ Row = tuple[Any, ...]
 
 @dataclass(frozen=True, eq=False)
 class _CopiedImage:
-    """Number of an image, and where each keypoint of the database that was read stands now.
+    """An image of the block that is also in the database that was read.
 
-    ``place`` is -1 for keypoints that were left out, and has one more element, -1, for those beyond
-    the last.
+    ``number`` counts from 1. ``new_index`` is the index in the block's image of each keypoint of
+    the database, -1 for keypoints that were left out. Its last element is -1 too: indices beyond
+    the last keypoint of the block are clipped to it.
     """
 
     number: int
-    place: Integers
+    new_index: Integers
 
 
 def copied_rows(block: ExportedBlock, source: Path) -> Iterator[Row]:
-    """Rows of ``matches`` and ``two_view_geometries`` of the database that was read.
+    """Rows for ``matches`` and ``two_view_geometries``, from the database that the run read.
 
-    The keypoint ``index`` of an image is the block's point ``image:index``. Its index is replaced
-    by that in the exported image; matches of keypoints that were left out are left out. Of a
-    geometry the configuration is kept, not the matrices, which are of bent rays.
+    A row is the table, pair_id, number of matches, their indices as bytes; for a geometry also its
+    configuration. The block's points have the names ``image:index`` of the keypoints of that
+    database. Indices become those in the exported image; matches of keypoints that were left out
+    are left out. The matrices of a geometry are not copied, because they are of bent rays.
     Refuses (InputError IMPORT-FORMAT) a database without these tables, and matches cut short.
     """
     copied = _copied_images(block)
@@ -66,7 +68,12 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[Row]:
 
 @dataclass(frozen=True, eq=False)
 class _PairRead:
-    """Two images by their names, the places of their matches (m, 2), and a geometry's kind."""
+    """A row of matches of the database that was read.
+
+    ``first``, ``second`` : names of the images, None for an image that the database does not list.
+    ``matches`` (m, 2) : indices of the keypoints. ``configuration`` : that of a geometry as the
+    only element; empty for the table ``matches``.
+    """
 
     first: str | None
     second: str | None
@@ -79,7 +86,10 @@ def _pairs_read(
     source: Path,
     table: str,
 ) -> Iterator[_PairRead]:
-    """The rows of one of both tables; refuses matches cut short."""
+    """The rows of a table, ``matches`` or ``two_view_geometries``; refuses matches cut short.
+
+    ``source`` is the path of the database, for the message.
+    """
     names = dict(database.execute("SELECT image_id, name FROM images"))
     columns = "rows, cols, data, pair_id"
     if table == "two_view_geometries":
@@ -101,16 +111,17 @@ def _pairs_read(
 
 
 def _copied_images(block: ExportedBlock) -> dict[str, _CopiedImage]:
-    """The images of a block whose points are called ``image:index``, by their names."""
+    """The images of a block, by their names, from its points with the names ``image:index``."""
     images = {}
-    for i, _camera, here in block.images():
+    for i, _camera, image_points in block.images():
         image = block.image[i]
-        points = block.name.take(pa.array(block.point[here]))
-        prefix = len(f"{image}:".encode())
-        index = pc.binary_replace_slice(points, 0, prefix, "").cast(pa.int64()).to_numpy()
-        place = np.full(index.max(initial=0) + 2, -1)
-        place[index] = np.arange(index.size)
-        images[image] = _CopiedImage(i + 1, place)
+        points = block.point_name.take(pa.array(block.point[image_points]))
+        prefix_bytes = len(f"{image}:".encode())
+        index_texts = pc.binary_replace_slice(points, 0, prefix_bytes, "")
+        old_index = index_texts.cast(pa.int64()).to_numpy()
+        new_index = np.full(old_index.max(initial=0) + 2, -1)
+        new_index[old_index] = np.arange(old_index.size)
+        images[image] = _CopiedImage(i + 1, new_index)
     return images
 
 
@@ -119,23 +130,24 @@ def _copied_pair(
     first: _CopiedImage,
     second: _CopiedImage,
 ) -> tuple[int, int, bytes] | None:
-    """Pair of images, number and places of the matches (m, 2) that both still have, or None.
+    """pair_id, number of matches and their indices as bytes; None without a match that is kept.
 
-    The image of the smaller number comes first, as COLMAP wants it.
+    ``matches`` (m, 2) are indices in the database that was read. A match is kept if both keypoints
+    are in the block. The image of the smaller number comes first, as COLMAP requires.
     """
-    first_place = first.place.take(
+    first_index = first.new_index.take(
         matches[:, 0],
         mode="clip",
     )
-    second_place = second.place.take(
+    second_index = second.new_index.take(
         matches[:, 1],
         mode="clip",
     )
-    places = [first_place, second_place]
+    columns = [first_index, second_index]
     if second.number < first.number:
         first, second = second, first
-        places.reverse()
-    both = np.stack(places, axis=1)
+        columns.reverse()
+    both = np.stack(columns, axis=1)
     is_kept = both.min(axis=1) >= 0
     kept = both[is_kept].astype("<u4")
     if len(kept) == 0:
@@ -144,17 +156,19 @@ def _copied_pair(
 
 
 def match_rows(block: ExportedBlock) -> Iterator[Row]:
-    """Rows of both tables: pair of images, number of points in both, places of their keypoints."""
-    order, begin, images = block.image_points_by_point()
-    place_in_image = order - block.first[images]
-    for i, _camera, here in block.images():
-        point = block.point[here]
-        place, partner = _partners(begin[point], block.count[point])
-        later = np.flatnonzero(images[partner] > i)
-        later = later[np.argsort(images[partner[later]], kind="stable")]
-        partner = partner[later]
-        matches = np.stack([place[later], place_in_image[partner]], axis=1).astype("<u4")
-        for other, matches_of_pair in _by_image(images[partner], matches):
+    """Rows for ``matches`` and ``two_view_geometries`` of the pairs of images with common points.
+
+    Rows are as of `copied_rows`. Each pair occurs once, the image of the smaller number first.
+    """
+    by_point = block.image_points_by_point()
+    for i, _camera, image_points in block.images():
+        point = block.point[image_points]
+        index, entry = _pairs_by_point(by_point.begin[point], block.images_of_point[point])
+        is_later = np.flatnonzero(by_point.image[entry] > i)
+        pairs = is_later[np.argsort(by_point.image[entry[is_later]], kind="stable")]
+        entry = entry[pairs]
+        matches = np.stack([index[pairs], by_point.number_in_image[entry]], axis=1).astype("<u4")
+        for other, matches_of_pair in _by_image(by_point.image[entry], matches):
             row = (
                 (i + 1) * _MOST_IMAGES + other + 1,
                 len(matches_of_pair),
@@ -168,19 +182,24 @@ def _by_image(
     image: Integers,
     matches: NDArray[np.uint32],
 ) -> Iterator[tuple[int, NDArray[np.uint32]]]:
-    """The images, and the matches (m, 2) of each; ``image`` (n,) is that of each match, sorted."""
-    changes = np.flatnonzero(np.diff(image, prepend=-1))
-    edges = np.append(changes, image.size)
+    """Each image with its rows of ``matches`` (n, 2); ``image`` (n,) of the matches is sorted."""
+    first_of_images = np.flatnonzero(np.diff(image, prepend=-1))
+    edges = np.append(first_of_images, image.size)
     for low, high in pairwise(edges.tolist()):
         yield int(image[low]), matches[low:high]
 
 
-def _partners(begin: Integers, count: Integers) -> tuple[Integers, Integers]:
-    """Place of each point of an image in it, and the image points of the same point, one by one.
+def _pairs_by_point(begin: Integers, count: Integers) -> tuple[Integers, Integers]:
+    """All pairs of an image point of an image and an image point, in any image, of the same point.
 
-    The latter are rows in the order by points, of which ``begin`` (n,) is the first of each point,
-    and ``count`` (n,) the number.
+    ``begin`` (n,) and ``count`` (n,) : for each image point of the image, the first entry and the
+    number of entries of its point in `ImagePointsByPoint`. Of each pair (k,) the number of the
+    first in its image, 0 to n - 1, and the entry of the second.
+
+    >>> index, entry = _pairs_by_point(np.array([7, 2]), np.array([3, 2]))
+    >>> index.tolist(), entry.tolist()
+    ([0, 0, 0, 1, 1], [7, 8, 9, 2, 3])
     """
-    place = np.repeat(np.arange(count.size), count)
-    partner = np.repeat(begin - np.cumsum(count) + count, count)
-    return place, partner + np.arange(place.size)
+    index = np.repeat(np.arange(count.size), count)
+    entry_less_pair = np.repeat(begin - np.cumsum(count) + count, count)
+    return index, entry_less_pair + np.arange(index.size)

@@ -2,8 +2,8 @@
 
 A rig is several cameras that do not move against each other, a frame the images that it takes at a
 time. Rows are those of the tables ``rigs``, ``rig_sensors``, ``frames`` and ``frame_data``, with
-the numbers that cameras and images have in the exported block. A camera that is in no rig is a rig
-of its own, and an image in no frame a frame of its own.
+the numbers, from 1, that cameras and images have in the exported block. Each other camera becomes a
+rig alone, each other image a frame alone.
 """
 
 import sqlite3
@@ -22,11 +22,12 @@ from unbend.tables.imports.blocks.colmap import opened
 CAMERA_SENSOR = 0  # other sensors of a rig are inertial
 
 Rows = list[tuple[Any, ...]]
+"""Rows of a table of the database."""
 
 
 @dataclass
 class RigTables:
-    """Rows of the four tables, as they come together."""
+    """The rows of the four tables, collected rig by rig; ``rig_of_camera`` by numbers."""
 
     rigs: Rows = field(default_factory=list)
     rig_sensors: Rows = field(default_factory=list)
@@ -39,7 +40,10 @@ class RigTables:
         reference: int,
         others: Iterable[tuple[int, bytes | None]] = (),
     ) -> int:
-        """A rig of a reference camera and other cameras with their poses; its number."""
+        """Add a rig of a reference camera, and other cameras with poses; returns its number.
+
+        The poses are COLMAP's blobs ``sensor_from_rig``, None for an unknown one.
+        """
         number = len(self.rigs) + 1
         self.rigs.append((number, reference, CAMERA_SENSOR))
         self.rig_of_camera[reference] = number
@@ -53,14 +57,14 @@ class RigTables:
         rig: int,
         images: Iterable[tuple[int, int]],
     ) -> None:
-        """A frame of a rig, with numbers of images and their cameras."""
+        """Add a frame of a rig; ``images`` are numbers of images and of their cameras."""
         number = len(self.frames) + 1
         self.frames.append((number, rig))
         for image, camera in images:
             self.frame_data.append((number, image, camera, CAMERA_SENSOR))
 
     def rows(self) -> dict[str, Rows]:
-        """Rows by the name of their table, without tables that have none."""
+        """The rows by the name of their table, without empty tables."""
         tables = {
             "rigs": self.rigs,
             "rig_sensors": self.rig_sensors,
@@ -75,17 +79,17 @@ def rig_tables(
     source: Path | None,
     ledger: Ledger,
 ) -> dict[str, Rows]:
-    """Rows of the tables of rigs and frames, by their names.
+    """Rows of the tables of rigs and frames, by the name of the table.
 
-    ``source`` is the database that the run read. Adds a note on the rigs of several cameras that
-    are kept, and a warning (EXPORT-RIGS) on those that cannot be.
+    Rigs of several cameras are copied from ``source``, the database that the run read, None without
+    one. Adds (EXPORT-RIGS) a note on those that are kept, and a warning on those that are not.
     """
     tables = RigTables()
     camera_of_image = dict(enumerate((block.camera + 1).tolist(), 1))
     in_frames: set[int] = set()
     if source is not None:
         with damage_refused(source, "colmap"), closing(opened(source)) as database:
-            if is_with_rigs(database):
+            if has_rig_tables(database):
                 in_frames = copy_rigs(block, database, tables, ledger)
     for camera in range(1, len(block.cameras) + 1):
         if camera not in tables.rig_of_camera:
@@ -96,8 +100,8 @@ def rig_tables(
     return tables.rows()
 
 
-def is_with_rigs(database: sqlite3.Connection) -> bool:
-    """Whether a database has the tables of rigs, which COLMAP 3.12 brought."""
+def has_rig_tables(database: sqlite3.Connection) -> bool:
+    """Whether a database has the tables of rigs, as since COLMAP 3.12."""
     query = "SELECT name FROM sqlite_master WHERE type = 'table'"
     names = {name for (name,) in database.execute(query)}
     return names >= {"rigs", "rig_sensors", "frames", "frame_data"}
@@ -109,10 +113,14 @@ def copy_rigs(
     tables: RigTables,
     ledger: Ledger,
 ) -> set[int]:
-    """Copy the rigs of several cameras and their frames; the images that are in these frames."""
-    image_numbers, cameras = numbers_here(block, database)
+    """Add the rigs of several cameras of ``database``, and their frames, to ``tables``.
+
+    Returns the numbers in the block of the images in these frames. A rig is lost if its reference
+    is not exactly one camera of the block, or none of its other cameras is.
+    """
+    image_numbers, numbers_of_camera = numbers_in_block(block, database)
+    camera_numbers = unique_camera_numbers(numbers_of_camera)
     sensors = sensors_of_rigs(database)
-    camera_numbers = only_partners(cameras)
     new_rigs = {}
     lost = 0
     query = "SELECT rig_id, ref_sensor_id, ref_sensor_type FROM rigs ORDER BY rig_id"
@@ -120,11 +128,11 @@ def copy_rigs(
         other_sensors = sensors.get(rig, [])
         if not other_sensors:
             continue
-        there = [(camera_numbers[c], pose) for c, pose in other_sensors if c in camera_numbers]
-        if kind != CAMERA_SENSOR or reference not in camera_numbers or not there:
+        kept = [(camera_numbers[c], pose) for c, pose in other_sensors if c in camera_numbers]
+        if kind != CAMERA_SENSOR or reference not in camera_numbers or not kept:
             lost += 1
             continue
-        new_rigs[rig] = tables.add_rig(camera_numbers[reference], there)
+        new_rigs[rig] = tables.add_rig(camera_numbers[reference], kept)
     if lost:
         ledger.add(
             messages.rigs_lost(
@@ -144,25 +152,30 @@ def copy_rigs(
     return in_frames
 
 
-def numbers_here(
+def numbers_in_block(
     block: ExportedBlock,
     database: sqlite3.Connection,
 ) -> tuple[dict[int, int], dict[int, set[int]]]:
-    """The numbers in the block of a database's images, and of its cameras all that they have."""
-    numbers = {name: number for number, name in enumerate(block.image.tolist(), 1)}
+    """Numbers in the block, from 1, by the database's ids: of each image, and of each camera.
+
+    A camera of the database has several numbers if the mission divides its images among cameras.
+    Images that the block does not have are left out.
+    """
+    number_of_name = {name: number for number, name in enumerate(block.image.tolist(), 1)}
     image_numbers = {}
-    cameras: dict[int, set[int]] = {}
+    numbers_of_camera: dict[int, set[int]] = {}
     for image, name, camera in database.execute("SELECT image_id, name, camera_id FROM images"):
-        if name not in numbers:
+        if name not in number_of_name:
             continue
-        number = numbers[name]
+        number = number_of_name[name]
         image_numbers[image] = number
-        cameras.setdefault(camera, set()).add(int(block.camera[number - 1]) + 1)
-    return image_numbers, cameras
+        camera_number = int(block.camera[number - 1]) + 1
+        numbers_of_camera.setdefault(camera, set()).add(camera_number)
+    return image_numbers, numbers_of_camera
 
 
 def sensors_of_rigs(database: sqlite3.Connection) -> dict[int, list[tuple[int, bytes | None]]]:
-    """The cameras of each rig beside its reference, with their poses."""
+    """The cameras of each rig without its reference, with their poses, by the database's ids."""
     sensors: dict[int, list[tuple[int, bytes | None]]] = {}
     query = "SELECT rig_id, sensor_id, sensor_from_rig FROM rig_sensors WHERE sensor_type = ?"
     for rig, camera, pose in database.execute(query, (CAMERA_SENSOR,)):
@@ -177,7 +190,10 @@ def copy_frames(
     image_numbers: Mapping[int, int],
     camera_numbers: Mapping[int, int],
 ) -> set[int]:
-    """Copy the frames of the rigs that are kept; the images that are in them."""
+    """Add the frames of the kept rigs to ``tables``; returns the numbers of the images in them.
+
+    The mappings are from ids in the database to numbers in ``tables`` (``new_rigs``) or the block.
+    """
     images_of_frame: dict[int, list[tuple[int, int]]] = {}
     query = "SELECT frame_id, data_id, sensor_id FROM frame_data WHERE sensor_type = ?"
     for frame, image, camera in database.execute(query, (CAMERA_SENSOR,)):
@@ -194,15 +210,22 @@ def copy_frames(
     return in_frames
 
 
-def only_partners(cameras: Mapping[int, set[int]]) -> dict[int, int]:
-    """The number here of each camera of a database that is one here, and no other's."""
-    users: dict[int, int] = {}
-    for numbers in cameras.values():
+def unique_camera_numbers(numbers_of_camera: Mapping[int, set[int]]) -> dict[int, int]:
+    """The number in the block of each camera of a database that is exactly one camera there.
+
+    ``numbers_of_camera`` is that of `numbers_in_block`. Left out are cameras with several numbers,
+    and those with a number that another camera of the database has too.
+
+    >>> unique_camera_numbers({10: {1}, 11: {2, 3}, 12: {4}, 13: {4}})
+    {10: 1}
+    """
+    cameras_of_number: dict[int, int] = {}
+    for numbers in numbers_of_camera.values():
         for number in numbers:
-            users[number] = users.get(number, 0) + 1
-    partners = {}
-    for camera, numbers in cameras.items():
+            cameras_of_number[number] = cameras_of_number.get(number, 0) + 1
+    camera_numbers = {}
+    for camera, numbers in numbers_of_camera.items():
         (first, *other_numbers) = numbers
-        if not other_numbers and users[first] == 1:
-            partners[camera] = first
-    return partners
+        if not other_numbers and cameras_of_number[first] == 1:
+            camera_numbers[camera] = first
+    return camera_numbers

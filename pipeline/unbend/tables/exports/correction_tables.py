@@ -16,14 +16,18 @@ from unbend.tables.writing import table_of
 from unbend.tables.written_columns import columns_of, schema_of
 from unbend.units import ARCSEC, DEGREE, MICRORADIAN, Array, Integers
 
-_MOST_ROWS = 250_000  # held in memory at a time
+_MOST_ROWS = 250_000  # of a lattice that are in memory at a time
 _LARGEST_DEG = 80.0  # nadir angle of radial tables
-_STEP_DEG = 1.0
+_STEP_DEG = 1.0  # of nadir angles of radial tables
 _SAME_HEIGHT = 0.02  # heights above ground within 2 % share a table: R differs by less than 2 %
 
 
 def lattice_tables(run: FinishedRun, values: Values, ledger: Ledger) -> Tables:
-    """The lattices of all images; images without one, and without ground, are entered as losses."""
+    """The corrections on a lattice over each usable image.
+
+    Losses: images without a usable station, which have no lattice, and images without a ground
+    height, which have one without corrections.
+    """
     usable = run.exposures.usable
     left_out = run.stations.image[~usable]
     if left_out.size:
@@ -45,12 +49,12 @@ def lattice_tables(run: FinishedRun, values: Values, ledger: Ledger) -> Tables:
     schema = schema_of(columns_of("lattice"), metadata)
 
     def tables() -> Iterator[pa.Table]:
-        """Camera by camera, in each the images in their order, in tables of `_MOST_ROWS`."""
+        """Tables of some images each: camera by camera, images in the order of the stations."""
         images = int(usable.sum())
         run.progress.start("computing corrections", images)
         for name, camera in run.cameras.items():
             x, y = lattice_nodes(camera.camera, columns, rows)
-            for part, corrections in lattice_parts(run, name, run.rows_of(name), (x, y)):
+            for part, corrections in lattice_parts(run, name, run.usable_rows(name), (x, y)):
                 columns_of_table = {
                     "image": np.repeat(run.stations.image[part], x.size),
                     "x_px": np.tile(run.pixels.from_colmap(x), part.size),
@@ -72,11 +76,12 @@ def lattice_parts(
     stations: Integers,
     nodes: tuple[Array, Array],
 ) -> Iterator[tuple[Integers, Corrections]]:
-    """Corrections of a camera at the same k nodes (x and y, (k,) [px]) of some of its stations.
+    """Corrections of a camera at the same k nodes in the images of some of its stations.
 
-    In parts: each is the (s,) numbers of successive stations in one air, and their (s * k,)
-    corrections, all nodes of the first station first. At a node nothing is approximated; between
-    nodes the bilinear interpolation errs by an eighth of the curvature of the shift across a cell.
+    ``stations`` are rows, ``nodes`` x and y, (k,) in COLMAP's pixels. Yields parts: the rows (s,)
+    of successive stations in one air, and their (s * k,) corrections, all nodes of the first
+    station first. At a node nothing is approximated; between nodes the bilinear interpolation errs
+    by an eighth of the curvature of the shift across a cell.
     """
     x_px, y_px = nodes
     stations_of_part = max(1, _MOST_ROWS // x_px.size)
@@ -98,7 +103,7 @@ def lattice_parts(
 
 
 def radial_columns(table: RadialTable) -> dict[str, object]:
-    """A radial table in the units of its columns, without camera and images.
+    """The columns of an exported radial table, without camera and images.
 
     >>> from unbend.atmosphere import standard_atmosphere
     >>> table = radial_table(standard_atmosphere("us1976"), 6000.0, 0.0, angles_to(45.0, 45.0))
@@ -123,10 +128,13 @@ def radial_columns(table: RadialTable) -> dict[str, object]:
 
 
 def radial_tables(run: FinishedRun, _: Values, ledger: Ledger) -> Tables:
-    """A table for each camera and each height above ground that its images share, lowest first."""
+    """A radial table for each camera and flying height, in the order of `flying_heights`.
+
+    Warnings: the air changes during the flight, or a camera has a window, which the tables ignore.
+    """
     most_airs = 0
     for name in run.cameras:
-        airs = np.unique(run.air.profile_number[run.rows_of(name)])
+        airs = np.unique(run.air.profile_number[run.usable_rows(name)])
         most_airs = max(most_airs, airs.size)
     if most_airs > 1:
         ledger.add(messages.air_changes(where="profile.parquet", count=most_airs))
@@ -144,7 +152,11 @@ def _table_of_group(
     rows: Integers,
     schema: pa.Schema,
 ) -> pa.Table:
-    """For the median height, ground and latitude of some stations of a camera, at their middle."""
+    """The radial table of a group of stations (``rows``) of a camera.
+
+    For their median height, ground height and latitude, in the air of the station in the middle of
+    their times.
+    """
     by_time = np.argsort(run.stations.time_ns[rows], kind="stable")
     middle = rows[by_time[rows.size // 2]]
     latitude = float(np.median(run.stations.lat_rad[rows]))
@@ -169,15 +181,18 @@ def _table_of_group(
     return table_of(columns, schema)
 
 
-def flying_heights(run: FinishedRun, part: float, ledger: Ledger) -> list[tuple[str, Integers]]:
-    """The stations of each camera at about one height above the ground, lowest first.
+def flying_heights(
+    run: FinishedRun, tolerance: float, ledger: Ledger
+) -> list[tuple[str, Integers]]:
+    """Groups of stations at about one height above ground: the camera, and the rows (n,).
 
-    None is higher than the lowest of its group by more than this ``part``. Images
-    without a known ground are a loss.
+    Groups are in the order of the cameras, in each from the lowest. No station is higher above
+    ground than the lowest of its group by more than ``tolerance`` (0.1 is 10 %). Usable stations
+    without a ground below them are a loss.
     """
     groups: list[tuple[str, Integers]] = []
     for name in run.cameras:
-        rows = run.rows_of(name)
+        rows = run.usable_rows(name)
         above_ground = run.exposures.height_m[rows] - run.ground_m[rows]
         has_ground = above_ground > 0.0
         without_ground = int(np.sum(~has_ground))
@@ -187,7 +202,7 @@ def flying_heights(run: FinishedRun, part: float, ledger: Ledger) -> list[tuple[
         rows = rows[has_ground]
         above_ground = above_ground[has_ground]
         while rows.size:
-            is_near = above_ground <= (1.0 + part) * above_ground.min()
+            is_near = above_ground <= (1.0 + tolerance) * above_ground.min()
             groups.append((name, rows[is_near]))
             rows = rows[~is_near]
             above_ground = above_ground[~is_near]

@@ -5,7 +5,7 @@ Formats are registered in exports/__init__.py.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -31,7 +31,7 @@ from unbend.units import Array, Integers
 
 
 class ExportProgress(Protocol):
-    """What an export reports while it is written, for a bar with a share."""
+    """Receiver of the progress of an export, for a progress bar."""
 
     def start(self, step: str, total: int | None = None) -> None:
         """Begin a step of ``total`` units."""
@@ -41,7 +41,7 @@ class ExportProgress(Protocol):
 
 
 class NoProgress:
-    """ExportProgress that nobody looks at."""
+    """ExportProgress that discards everything."""
 
     def start(self, step: str, total: int | None = None) -> None:
         """Discard the step."""
@@ -55,10 +55,11 @@ NO_PROGRESS = NoProgress()
 
 @dataclass(frozen=True)
 class ExportCamera:
-    """A camera in COLMAP's pixels, and whether a window bends its rays.
+    """A camera in COLMAP's pixels, and what exports need to know of it.
 
-    ``pixel_mm`` is the width of its pixels, where it is known; ``has_refraction`` says that its
-    calibration was estimated in flight, on images with refraction in.
+    ``has_window`` : it looks through a plane window, which bends its rays. ``pixel_mm`` : width of
+    its pixels, NaN if they are not square or it is unknown. ``has_refraction`` : its calibration
+    was estimated in flight, on images with refraction in.
     """
 
     camera: Camera
@@ -71,12 +72,13 @@ class ExportCamera:
 class FinishedRun:
     """A finished run as an exporter sees it, rebuilt from its folder.
 
-    ``exposures`` has the rows of ``stations``. ``parts`` are the Parquet files of the observations,
-    in order, with coordinates in the system ``pixels``; ``metadata`` goes into every file that is
-    written. ``rays`` are those of ``air``'s profiles. ``find_ground`` reads heights of all
-    observations; ``database`` finds COLMAP's, of which they are the keypoints, and reads all of it.
-    ``grid`` is the coordinate system that results are asked for in, ``progress`` gets every pass
-    over observations and images.
+    ``exposures`` has the rows of ``stations``. ``rays`` has one entry for each of ``air.profiles``,
+    computed by the ``method`` of refraction. ``parts`` are the Parquet files of the observations,
+    in order, with coordinates in the system ``pixels``; ``metadata`` goes into each file that is
+    written. ``find_ground`` computes `ground_m` from the heights of all observations. ``database``
+    returns the path of the COLMAP database that the run read its observations from (keypoints),
+    None without an unchanged one; it reads the whole file. ``grid`` is the coordinate system of the
+    export, None without one; ``progress`` gets each pass over observations and images.
     """
 
     mission: str
@@ -94,45 +96,50 @@ class FinishedRun:
     grid: MapGrid | None = None
     progress: ExportProgress = NO_PROGRESS
 
-    def rows_of(self, camera: str) -> Integers:
-        """(n,) the stations of a camera that can be used, in the order of the table."""
+    def usable_rows(self, camera: str) -> Integers:
+        """(n,) the rows of the usable stations of a camera, in the order of ``stations``."""
         usable = (self.stations.camera == camera) & self.exposures.usable
         return np.flatnonzero(usable).astype(np.int64)
 
     @property
     def required_grid(self) -> MapGrid:
-        """The coordinate system, of a format that always has one."""
+        """``grid``, for formats that always have a coordinate system; TypeError without one."""
         if self.grid is None:
             raise TypeError("this run was opened for a format without a coordinate system")
         return self.grid
 
     @cached_property
     def ground_m(self) -> Array:
-        """(s,) ground that images are computed for, above sea level [m], NaN where none is."""
+        """(s,) ground height of each station's image [m above sea level], NaN if unknown."""
         return self.find_ground(self)
 
     def observations(
         self, columns: Sequence[str], most_rows: int | None = None
     ) -> Iterator[tuple[Integers, pa.Table]]:
-        """Stations (n,), -1 for none, and columns of all observations or ``most_rows``: parts."""
-        names = pa.array(self.stations.image, pa.string())
+        """The observations part by part: (n,) rows of their stations, and a table of ``columns``.
+
+        The row of a station is -1 for an image without a station. With ``most_rows``, every k-th
+        observation of each part, with k so large that about ``most_rows`` or fewer are read.
+        """
+        images_of_stations = pa.array(self.stations.image, pa.string())
         rows = sum(pq.read_metadata(part).num_rows for part in self.parts)
-        every = 1
+        step = 1
         if most_rows is not None:
-            every += rows // most_rows
+            step += rows // most_rows
         self.progress.start("reading observations", rows)
         for part in self.parts:
             with pq.ParquetFile(part, read_dictionary=["image", "status"]) as file:
-                table = file.read(["image", *columns], use_threads=False)[::every]
-            yield matching_rows(table["image"].combine_chunks(), names), table.select(columns)
-            self.progress.advance(table.num_rows * every)
+                table = file.read(["image", *columns], use_threads=False)[::step]
+            images = table["image"].combine_chunks()
+            yield matching_rows(images, images_of_stations), table.select(columns)
+            self.progress.advance(table.num_rows * step)
 
 
 @dataclass(frozen=True)
 class Option:
     """An option of a format. The command line shows and parses it as it is declared here.
 
-    ``name`` : in the mapping of values; on the command line ``--name``, ``_`` written as ``-``.
+    ``name`` : its key in `Values`. ``kind`` : the type that its text is converted to.
     ``default``, ``minimum``, ``maximum`` : in ``unit``, limits included.
     """
 
@@ -146,6 +153,7 @@ class Option:
 
     @property
     def flag(self) -> str:
+        """The option on the command line: ``--name``, with ``-`` for ``_``."""
         return "--" + self.name.replace("_", "-")
 
 
@@ -164,16 +172,23 @@ PIXEL_UM = Option(
 
 
 def pixel_mm(run: FinishedRun, camera: str, values: Values) -> float:
-    """The size of a camera's pixels [mm], by `PIXEL_UM`, else its own; NaN if unknown."""
-    return float(values[PIXEL_UM.name] * 1e-3 or run.cameras[camera].pixel_mm)
+    """The size of a camera's pixels [mm]: that of `PIXEL_UM`, or if it is 0 that of the run.
+
+    NaN if it is unknown.
+    """
+    size_of_option_mm = values[PIXEL_UM.name] * 1e-3
+    if size_of_option_mm:
+        return float(size_of_option_mm)
+    return float(run.cameras[camera].pixel_mm)
 
 
 @dataclass(frozen=True)
 class GridUse:
-    """How a format takes a coordinate system.
+    """How a format takes a coordinate system (--crs).
 
-    ``default`` : the system where none is asked for, "" for none. ``needs_angles`` : it has angles
-    against the grid. ``use`` : what is said of the export in place of the format's own ``use``.
+    ``default`` : the system without --crs, "" for none. ``needs_angles`` : the format has angles
+    against the grid, so that a geographic system is refused. ``use`` : with --crs, the text that
+    replaces the format's own ``use``.
     """
 
     default: str = ""
@@ -183,14 +198,16 @@ class GridUse:
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """A format: its name, what it holds in words, the ending of its file, its writer, its options.
+    """A format of ``unbend export``.
 
-    ``write(run, values, path, ledger)`` writes one file at a path, or several into the folder that
-    is there where the ending is "", and returns the number of rows; what is left out is entered in
-    the ledger. ``use`` says in which frame it is, and what is to be switched off in the program
-    that reads it. ``marked`` are the names of the files that hold observations without refraction
-    and cannot say so, of a format of one file "". ``frame(run, values)`` is the frame of what is
-    written; ``grid`` how a coordinate system is taken, None where there is one that fits alone.
+    ``contents`` : in words, for the help. ``ending`` : of its file; "" for a format of several
+    files, which are written into a folder. ``write(run, values, path, ledger)`` writes the file at
+    a path, or the files into the existing folder at it, and returns the number of rows; what is
+    left out is entered in the ledger. ``frame(run, values)`` is the frame of what is written.
+    ``use`` tells the user what to switch off in the program that reads it. ``marked`` : names of
+    the files of observations without refraction in which no mark of that fits, so that the sidecar
+    marks them; ("",) for a format of one file. ``grid`` : how a coordinate system is taken; None
+    for a format with a fixed frame, which refuses --crs.
     """
 
     name: str
@@ -203,13 +220,13 @@ class ExportFormat:
     marked: tuple[str, ...] = ()
     grid: GridUse | None = None
 
-    def values(self, given: Values) -> dict[str, Any]:
-        """The value of every option, given or by default.
+    def values(self, stated_values: Values) -> dict[str, Any]:
+        """The value of each option: the stated one, or the default.
 
         Raises ``ConfigError`` for an option of other formats, and for a value beyond the limits.
         """
         options = {option.name: option for option in self.options}
-        for name, value in given.items():
+        for name, value in stated_values.items():
             option = options.get(name)
             if option is None:
                 raise messages.option_unknown(
@@ -225,7 +242,7 @@ class ExportFormat:
                     highest=option.maximum,
                     meaning=f"{option.help} [{option.unit}]" if option.unit else option.help,
                 )
-        return {option.name: option.default for option in self.options} | dict(given)
+        return {option.name: option.default for option in self.options} | dict(stated_values)
 
 
 CORRECTIONS_USE = (
@@ -235,6 +252,7 @@ CORRECTIONS_USE = (
 )
 
 Tables = tuple[pa.Schema, Iterator[pa.Table]]
+"""The schema of a table, and the table in parts."""
 
 
 def parquet_and_csv(
@@ -243,43 +261,44 @@ def parquet_and_csv(
     tables: Callable[[FinishedRun, Values, Ledger], Tables],
     options: tuple[Option, ...] = (),
 ) -> tuple[ExportFormat, ...]:
-    """One table in two formats: ``name`` is written as Parquet, ``name``-csv as CSV.
+    """Two formats of one table of corrections: ``name`` is Parquet, ``name``-csv is CSV.
 
-    ``tables`` returns the schema and the tables that are written one after the other. They hold
-    corrections, which `CORRECTIONS_USE` is about.
+    ``tables(run, values, ledger)`` returns the schema, and the parts that are written one after the
+    other.
     """
 
-    def write(
-        writer: Callable[..., int],
-        run: FinishedRun,
-        values: Values,
-        path: Path,
-        ledger: Ledger,
-    ) -> int:
-        return writer(path, *tables(run, values, ledger))
+    def format_of(
+        format_name: str,
+        ending: str,
+        write_stream: Callable[[Path, pa.Schema, Iterable[pa.Table]], int],
+    ) -> ExportFormat:
+        def write(run: FinishedRun, values: Values, path: Path, ledger: Ledger) -> int:
+            schema, parts = tables(run, values, ledger)
+            return write_stream(path, schema, parts)
 
-    kinds = (name, ".parquet", write_parquet_stream), (f"{name}-csv", ".csv", write_csv_stream)
-    return tuple(
-        ExportFormat(
-            form,
+        return ExportFormat(
+            format_name,
             contents,
             ending,
-            partial(write, writer),
+            write,
             frame=frame_of_corrections,
             options=options,
             use=CORRECTIONS_USE,
         )
-        for form, ending, writer in kinds
+
+    return (
+        format_of(name, ".parquet", write_parquet_stream),
+        format_of(f"{name}-csv", ".csv", write_csv_stream),
     )
 
 
 def frame_of_corrections(run: FinishedRun, _: Values) -> ExportFrame:
-    """Image coordinates as the run has them, and heights above sea level."""
+    """The frame of corrections: the run's image coordinates, ground heights above sea level."""
     return ExportFrame(pixels=pixels_of_run(run.pixels), ground_heights=SEA_LEVEL_OF_RUN)
 
 
 def write_parquet_stream(path: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:
-    """One Parquet file of all the tables; the number of rows."""
+    """Write tables one after the other as one Parquet file; returns the number of rows."""
     rows = 0
     with pq.ParquetWriter(path, schema, **parquet_settings(schema)) as writer:
         for table in tables:
@@ -289,17 +308,18 @@ def write_parquet_stream(path: Path, schema: pa.Schema, tables: Iterable[pa.Tabl
 
 
 def write_csv_stream(path: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:
-    """One CSV file of all the tables, null as nothing; the number of rows.
+    """Write tables one after the other as one CSV file; returns the number of rows.
 
-    Numbers have all the digits that tell them apart. Arrow quotes all text or none: the text of a
-    table is quoted where a value holds a comma, a quotation mark or the end of a line.
+    Null is an empty field. Numbers have as many digits as distinguish them from their neighbours.
+    Arrow quotes all texts of a table or none: they are quoted if one contains a comma, a quotation
+    mark or the end of a line.
     """
     rows = 0
     with path.open("wb") as file:
         file.write((",".join(schema.names) + "\n").encode())
         for table in tables:
-            texts = [column for column in table.columns if pa.types.is_string(column.type)]
-            words = [str(word) for column in texts for word in column.unique().to_pylist()]
+            text_columns = [column for column in table.columns if pa.types.is_string(column.type)]
+            words = [str(word) for column in text_columns for word in column.unique().to_pylist()]
             style = "needed" if any(set(word) & set('",\r\n') for word in words) else "none"
             options = pa_csv.WriteOptions(include_header=False, quoting_style=style)
             pa_csv.write_csv(table, file, options)

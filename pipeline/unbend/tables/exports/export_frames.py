@@ -1,4 +1,4 @@
-"""The frame of an export as values: what a program that reads it must know, beside the file.
+"""The frame of an export as values: what a program must know to read the exported file.
 
 Positions, angles and image coordinates each have a frame of their own, None where the format has
 none of them. `frame_record` writes them as plain values, for the JSON of an export.
@@ -25,11 +25,11 @@ EAST_NORTH_UP = ("east", "north", "up")
 LONGITUDE_LATITUDE_HEIGHT = ("longitude", "latitude", "height")
 LATITUDE_LONGITUDE_HEIGHT = ("latitude", "longitude", "height")
 
-PHOTOGRAMMETRIC = ("right", "up", "backward")
-"""The axes of a camera in photogrammetry, in the image and across it."""
+PHOTOGRAMMETRIC_AXES = ("right", "up", "backward")
+"""Directions of a camera's x, y and z, seen by the camera, in photogrammetry."""
 
-OF_COMPUTER_VISION = ("right", "down", "forward")
-"""The axes of a camera in COLMAP, Pix4D, OpenSfM and in our own results."""
+COMPUTER_VISION_AXES = ("right", "down", "forward")
+"""Directions of a camera's x, y and z in COLMAP, Pix4D, OpenSfM and in our own results."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,10 @@ class AngleFrame:
     """What orientations mean.
 
     ``written_as`` : omega_phi_kappa, quaternion_wxyz, rotation_matrix, rotation_vector. ``turns`` :
-    from which axes to which. ``product`` : of the elementary rotations. ``frame_axes`` : of the
-    frame, ``frame_at`` where it is: each station, or the origin of the positions. ``up`` is the
-    normal of the ellipsoid there. ``convergence_deg`` : lowest and highest azimuth of grid north,
-    ``is_convergence_applied`` whether kappa counts from there.
+    from which axes to which, as "camera to frame". ``product`` : of the elementary rotations.
+    ``frame_axes`` : directions of the frame's axes; up is the normal of the ellipsoid at
+    ``frame_at``, that is "each station", or the "origin" of the positions. ``convergence_deg`` :
+    lowest and highest azimuth of grid north; ``is_convergence_applied`` : kappa counts from there.
     """
 
     written_as: str
@@ -87,11 +87,11 @@ class AngleFrame:
 
 @dataclass(frozen=True)
 class ScaleOfGrid:
-    """The length in a grid of a metre on the ellipsoid, lowest and highest at the stations.
+    """Scale of a grid at the stations, lowest and highest: its length of a metre on the ellipsoid.
 
-    It is in the coordinates x and y; ``is_in_heights``, ``is_in_principal_distance`` : whether it
-    is in these too. A program that takes the grid for a Cartesian frame needs one of both, or a
-    correction of its own.
+    x and y contain the scale; ``is_in_heights``, ``is_in_principal_distance`` : heights or
+    principal distances contain it too. A program that takes the grid for a Cartesian frame needs
+    the scale in one of these two, or a correction of its own.
     """
 
     lowest: float
@@ -102,7 +102,7 @@ class ScaleOfGrid:
 
 @dataclass(frozen=True)
 class PixelFrame:
-    """What image coordinates count from: ``origin`` in the image, directions, and their unit."""
+    """What image coordinates mean: their origin in the image, directions of x and y, unit."""
 
     origin: str
     axes: tuple[str, str]
@@ -133,14 +133,17 @@ def frame_record(frame: ExportFrame) -> Mapping[str, Any]:
 
 
 def pixels_of_run(pixels: PixelSystem) -> PixelFrame:
-    """The image coordinates of a run, in the system of its observations."""
+    """The frame of a run's image coordinates, which are in the system of its observations."""
     return CENTRE_PIXELS if pixels.origin == "centre" else CORNER_PIXELS
 
 
 def geographic_frame(
     height_reference: str, axes: tuple[str, str, str] = LONGITUDE_LATITUDE_HEIGHT
 ) -> PositionFrame:
-    """Longitude, latitude and height on WGS 84 in the order of ``axes``, as they are written."""
+    """The frame of positions on WGS 84, written in the order of ``axes``.
+
+    ``height_reference`` : what their heights count from, in words.
+    """
     return PositionFrame(
         kind="geographic",
         axes=axes,
@@ -153,7 +156,7 @@ def geographic_frame(
 
 
 def grid_frame(grid: MapGrid) -> PositionFrame:
-    """Positions in a coordinate system that was asked for."""
+    """The frame of positions that are written in the coordinate system ``grid``."""
     axes = ("longitude", "latitude") if grid.is_geographic else grid.axes
     return PositionFrame(
         kind="geographic" if grid.is_geographic else "projected",
@@ -169,7 +172,10 @@ def grid_frame(grid: MapGrid) -> PositionFrame:
 
 
 def topocentric_frame(origin_deg: Array | None) -> PositionFrame:
-    """East, north, up at ``origin_deg`` (3,): latitude, longitude [deg], ellipsoidal height [m]."""
+    """The frame east, north, up at an origin; None if no station gives one.
+
+    ``origin_deg`` (3,): latitude, longitude [deg], ellipsoidal height [m].
+    """
     origin = None
     if origin_deg is not None:
         origin = Origin(*(float(value) for value in origin_deg))
@@ -183,12 +189,15 @@ def topocentric_frame(origin_deg: Array | None) -> PositionFrame:
 
 
 def angles_of_photogrammetry(frame_axes: tuple[str, str, str], frame_at: str) -> AngleFrame:
-    """Omega, phi, kappa [deg] that turn from the camera to a frame."""
+    """The meaning of omega, phi, kappa [deg] that turn from the camera to a frame.
+
+    ``frame_axes``, ``frame_at`` : as in `AngleFrame`.
+    """
     return AngleFrame(
         written_as="omega_phi_kappa",
         turns="camera to frame",
         product="Rx(omega) Ry(phi) Rz(kappa)",
-        camera_axes=PHOTOGRAMMETRIC,
+        camera_axes=PHOTOGRAMMETRIC_AXES,
         frame_axes=frame_axes,
         frame_at=frame_at,
         unit="deg",
@@ -196,7 +205,10 @@ def angles_of_photogrammetry(frame_axes: tuple[str, str, str], frame_at: str) ->
 
 
 def angles_of_block(written_as: str, camera_axes: tuple[str, str, str]) -> AngleFrame:
-    """Orientations of a block in one frame, as programs of computer vision have them."""
+    """The meaning of orientations that turn from the frame of a block to the camera.
+
+    ``written_as``, ``camera_axes`` : as in `AngleFrame`.
+    """
     return AngleFrame(
         written_as=written_as,
         turns="frame to camera",
@@ -207,34 +219,38 @@ def angles_of_block(written_as: str, camera_axes: tuple[str, str, str]) -> Angle
 
 
 def scale_of_grid(axes: GridAxes) -> ScaleOfGrid | None:
-    """The range of a grid's scale at some places; None without a place."""
+    """The lowest and highest scale of a grid at the places of ``axes``; None without a place."""
     if axes.scale.size == 0:
         return None
     return ScaleOfGrid(float(np.min(axes.scale)), float(np.max(axes.scale)))
 
 
 def can_be_placed(stations: Stations) -> Mask:
-    """(s,) whether a station can be used and has a position, an attitude and a height."""
-    place = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
-    is_known = np.isfinite([*stations.quaternion.T, *place]).all(axis=0)
+    """(s,) which stations are usable and have position, ellipsoidal height and attitude."""
+    position = stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m
+    is_known = np.isfinite([*stations.quaternion.T, *position]).all(axis=0)
     return np.asarray(stations.ok & is_known)
 
 
 def origin_of(lat_rad: Array, lon_rad: Array, h_ellipsoid_m: Array) -> Array:
-    """(3,) latitude, longitude [deg] and height [m] of the middle of some places.
+    """(3,) latitude, longitude [deg] and height [m] of the middle of the extent of (n,) places.
 
-    To 1e-5 degrees and one metre; longitudes are taken across the 180th meridian.
+    Rounded to 1e-5 degrees and one metre. The places may be on both sides of the 180th meridian.
     """
-    near = longitudes_near(lon_rad, lon_rad[0])
-    columns = ((np.degrees(lat_rad), 5), (np.degrees(near), 5), (h_ellipsoid_m, 0))
+    near_first_rad = longitudes_near(lon_rad, lon_rad[0])
+    values_and_digits = (
+        (np.degrees(lat_rad), 5),
+        (np.degrees(near_first_rad), 5),
+        (h_ellipsoid_m, 0),
+    )
     middle = []
-    for values, digits in columns:
+    for values, digits in values_and_digits:
         middle.append(round(0.5 * (float(values.min()) + float(values.max())), digits))
     return np.array(middle)
 
 
 def block_positions(stations: Stations) -> PositionFrame:
-    """The frame of a block of stations: that of the middle of those that can be placed."""
+    """The frame of a block's positions: east, north, up at the middle of its placed stations."""
     rows = np.flatnonzero(can_be_placed(stations))
     if rows.size == 0:
         return topocentric_frame(None)

@@ -1,12 +1,13 @@
 """The block of a run as a bundle adjustment starts from it: stations, image and object points.
 
-All in one local frame. Nothing is projected to a map and no earth curvature is applied: the frame
-is Cartesian, x east, y north, z up at its origin.
+All are in one Cartesian frame: x east, y north, z up at its origin. Nothing is projected to a map,
+and no earth curvature is applied.
 """
 
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -23,10 +24,10 @@ from unbend.refraction.image import straight_reach
 from unbend.tables.exports import messages
 from unbend.tables.exports.export_format import NO_PROGRESS, ExportProgress, FinishedRun
 from unbend.tables.exports.export_frames import can_be_placed
-from unbend.tables.exports.footprints import OneFrame, placed_stations, stations_in_one_frame
+from unbend.tables.exports.footprints import StationsInFrame, placed_stations, stations_in_one_frame
 from unbend.units import Array, Integers, Mask, Names
 
-EARTH_RADIUS_M = 6.371e6  # only for the distance at which rays are weighted
+EARTH_RADIUS_M = 6.371e6  # for the distance to the ground, which only weights the rays
 
 _COLUMNS = ["point", "x_corrected_px", "y_corrected_px", "h_g_m", "status"]
 _SCHEMA = pa.schema(
@@ -40,52 +41,74 @@ _SCHEMA = pa.schema(
 )
 
 
+class ImagePointsByPoint(NamedTuple):
+    """Image points (r,) of a block, sorted by their points (p,).
+
+    Those of the k-th point are entries ``begin[k]`` to ``begin[k + 1]``, in the order of images.
+    ``image_point`` (r,) is the number of the image point in the block, ``image`` (r,) that of its
+    image, ``number_in_image`` (r,) counts from 0 in each image. ``begin`` is (p + 1,).
+    """
+
+    image_point: Integers
+    begin: Integers
+    image: Integers
+    number_in_image: Integers
+
+
 @dataclass(frozen=True, eq=False)
 class ExportedBlock:
     """Images (n,), their image points (r,) image by image, and points (p,).
 
-    ``frame`` has the projection centres of the images, ``rotation`` (n, 3, 3) turns from it to the
-    camera; ``camera`` (n,) numbers ``cameras``. ``first`` (n + 1,) is the first image point of each
-    image; those of an image stand in the order of the run. ``x_px``, ``y_px`` (r,) are free of
-    refraction, in COLMAP's pixels; ``point`` (r,) numbers the points, of which those that were
-    measured in ``count`` > 1 images come first: of these ``point_m`` (t, 3) is where their rays
-    meet, or end on the ground, where a format has object points.
+    ``image`` (n,) are the names of the images, ``camera`` (n,) their numbers in ``cameras``,
+    ``frame`` has their projection centres; ``rotation`` (n, 3, 3) turns from the frame to the
+    camera. The image points of the i-th image are ``first_image_point[i]`` to
+    ``first_image_point[i + 1]``, in the order of the run. ``x_px``, ``y_px`` (r,) are free of
+    refraction, in COLMAP's pixels; ``point`` (r,) is the number of the point.
+
+    ``point_name`` (p,) are the names of the points, ``images_of_point`` (p,) in how many images
+    each was measured. Points of several images come first: ``point_m`` (t, 3) are the positions of
+    these, where their rays meet, or else end on the ground; (0, 3) for a format without object
+    points.
     """
 
     cameras: dict[str, Camera]
     image: Names
     camera: Integers
-    frame: OneFrame
+    frame: StationsInFrame
     rotation: Array
-    first: Integers
+    first_image_point: Integers
     point: Integers
     x_px: Array
     y_px: Array
-    name: pa.StringArray
-    count: Integers
+    point_name: pa.StringArray
+    images_of_point: Integers
     point_m: Array
     progress: ExportProgress = NO_PROGRESS
 
     def images(self) -> Iterator[tuple[int, Camera, slice]]:
-        """Number, camera and image points of each image."""
+        """The number from 0, the camera and the slice of image points of each image."""
         cameras = [*self.cameras.values()]
-        first = self.first.tolist()
+        first = self.first_image_point.tolist()
         self.progress.start("images of the block", self.camera.size)
         for image, number in enumerate(self.camera.tolist()):
             image_points = slice(first[image], first[image + 1])
             yield image, cameras[number], image_points
             self.progress.advance(1)
 
-    def image_points_by_point(self) -> tuple[Integers, Integers, Integers]:
-        """Image points by their points (r,), where each begins (p + 1,), and their images (r,)."""
+    def image_points_by_point(self) -> ImagePointsByPoint:
+        """The image points, sorted by their points."""
         order = np.argsort(self.point, kind="stable")
-        begin = np.append(0, np.cumsum(self.count))
-        image = np.repeat(np.arange(self.image.size), np.diff(self.first))
-        return order, begin, image[order]
+        image = np.repeat(np.arange(self.image.size), np.diff(self.first_image_point))[order]
+        return ImagePointsByPoint(
+            image_point=order,
+            begin=np.append(0, np.cumsum(self.images_of_point)),
+            image=image,
+            number_in_image=order - self.first_image_point[image],
+        )
 
     @property
-    def moved_m(self) -> Array:
-        """(n, 3) translations from the frame to the cameras."""
+    def translation_m(self) -> Array:
+        """(n, 3) translations t: R X + t brings a position X in the frame to the camera's axes."""
         return np.asarray(-np.einsum("nij,nj->ni", self.rotation, self.frame.position_m))
 
 
@@ -94,9 +117,10 @@ def ideal_coordinates(
     x_px: Array,
     y_px: Array,
 ) -> tuple[Array, Array]:
-    """Image coordinates (n,) without distortion [principal distances]; NaN beyond the camera's.
+    """Image coordinates u, v (n,) without distortion, in units of the principal distance.
 
-    Corrected points may lie a little outside the image.
+    NaN where the distortion cannot be inverted. Corrected points may be a little outside the image:
+    the camera is extended by an image on each side, because `Camera.rays` covers only the image.
     """
     width = camera.width_px
     height = camera.height_px
@@ -116,7 +140,10 @@ def refuse_names(
     pattern: str,
     program: str,
 ) -> None:
-    """Refuse (MissionError EXPORT-NAMES) names in which a regular expression is found."""
+    """Refuse (MissionError EXPORT-NAMES) a name in which the regular expression matches.
+
+    ``pattern`` is for characters that separate columns in files of ``program``.
+    """
     for name in names:
         if re.search(pattern, name) is None:
             continue
@@ -129,13 +156,13 @@ def block_of(
     *,
     intersect: bool = True,
 ) -> ExportedBlock:
-    """The block of a run, in one pass over its parts; memory holds some 70 bytes an observation.
+    """The block of a run, in one pass over its parts; in memory some 70 bytes an observation.
 
-    Without object points where the format has none (``intersect``).
-    Left out as losses (EXPORT-LEFT-OUT) are images without a usable station, and observations of
-    them, of another status than ok, and of a point a second time in its image. Refuses
-    (MissionError) a run of which no station is placed (EXPORT-NO-STATIONS), and a camera that it
-    does not define (EXPORT-CAMERA).
+    ``intersect`` : compute object points; False for formats without them. Left out as losses
+    (EXPORT-LEFT-OUT) are images without a usable station with their observations, observations of
+    another status than ok, and repeated observations of a point in an image. Refuses (MissionError)
+    a run without a placed station (EXPORT-NO-STATIONS), and stations of a camera that the run does
+    not define (EXPORT-CAMERA).
     """
     rows = _stations_of_block(run, ledger)
     stations = run.stations
@@ -144,21 +171,21 @@ def block_of(
     camera_names = list(dict.fromkeys(stations.camera[rows]))
     number_of_camera = {name: number for number, name in enumerate(camera_names)}
     images_of_point = np.bincount(points.point, minlength=len(points.name))
-    tied_first = np.argsort(images_of_point < 2, kind="stable")
-    tied_points = int(np.sum(images_of_point > 1)) if intersect else 0
+    point_order = np.argsort(images_of_point < 2, kind="stable")  # points of several images first
+    object_points = int(np.sum(images_of_point > 1)) if intersect else 0
     block = ExportedBlock(
         cameras={name: run.cameras[name].camera for name in camera_names},
         image=stations.image[rows],
         camera=np.array([number_of_camera[name] for name in stations.camera[rows]]),
         frame=frame,
         rotation=matrices_of(frame.quaternion),
-        first=np.searchsorted(points.image, np.arange(rows.size + 1)),
-        point=np.argsort(tied_first)[points.point],
+        first_image_point=np.searchsorted(points.image, np.arange(rows.size + 1)),
+        point=np.argsort(point_order)[points.point],  # numbers in the new order
         x_px=run.pixels.to_colmap(points.x),
         y_px=run.pixels.to_colmap(points.y),
-        name=points.name.take(pa.array(tied_first)),
-        count=images_of_point[tied_first],
-        point_m=np.empty((tied_points, 3)),
+        point_name=points.name.take(pa.array(point_order)),
+        images_of_point=images_of_point[point_order],
+        point_m=np.empty((object_points, 3)),
         progress=run.progress,
     )
     if intersect:
@@ -174,7 +201,7 @@ def add_counts_of_block(block: ExportedBlock, ledger: Ledger) -> None:
         block,
         ledger,
         image_points=block.point.size,
-        points=block.count.size,
+        points=block.images_of_point.size,
     )
 
 
@@ -202,17 +229,24 @@ def _fill_object_points(
     h_g_m: Array,
     ledger: Ledger,
 ) -> None:
-    """Intersect the points of a block of some stations; those on the ground are reported."""
+    """Compute the positions of the object points, and write them into ``block.point_m``.
+
+    ``stations`` are those of the block's images, ``h_g_m`` (r,) heights of the ground above sea
+    level at the image points. Points on the ground are added to the ledger.
+    """
     enu_of_station = enu_from_ecef(stations.lat_rad, stations.lon_rad)
     up = enu_of_station[:, 2] @ block.frame.enu_from_ecef.T
-    block.point_m[:], met = intersected(block, up, stations.h_msl_m, h_g_m)
-    on_ground = int(np.sum(~met))
+    block.point_m[:], is_intersected = intersected(block, up, stations.h_msl_m, h_g_m)
+    on_ground = int(np.sum(~is_intersected))
     if on_ground:
         ledger.add(messages.points_on_ground(where="observations", count=on_ground))
 
 
 def _stations_of_block(run: FinishedRun, ledger: Ledger) -> Integers:
-    """(n,) the stations that can be placed, at least one, all of cameras that the run defines."""
+    """(n,) the rows of the stations that can be placed; the others are a loss.
+
+    Refuses a run without any (EXPORT-NO-STATIONS), and one of an undefined camera (EXPORT-CAMERA).
+    """
     lacking = "usable position, attitude and ellipsoidal height"
     rows = placed_stations(run, can_be_placed(run.stations), lacking, ledger)
     if rows.size == 0:
@@ -225,9 +259,10 @@ def _stations_of_block(run: FinishedRun, ledger: Ledger) -> Integers:
 
 @dataclass(frozen=True, eq=False)
 class ImagePoints:
-    """Image points (r,) sorted by image: numbers of image and point, pixels, height of the ground.
+    """Image points (r,) sorted by image, in the order of the run in each.
 
-    ``name`` (p,) are the names of the points. Pixels are those of the run.
+    ``image``, ``point`` : numbers of image and point; ``x``, ``y`` : corrected, in pixels of the
+    run; ``h_g_m`` : height of the ground above sea level. ``name`` (p,) are the points' names.
     """
 
     image: NDArray[np.int32]
@@ -239,19 +274,19 @@ class ImagePoints:
 
 
 def read_image_points(run: FinishedRun, images: Integers, ledger: Ledger) -> ImagePoints:
-    """The image points of some stations' images, numbered in the order of ``images`` (n,).
+    """The image points of the images of a block; ``images`` (n,) are the rows of their stations.
 
-    Of a point that is twice in an image the first row is kept; what is left out is reported.
+    If a point is repeated in an image, its first row is kept. Rows that are left out are a loss.
     """
     number_of_station = np.full(len(run.stations) + 1, -1, np.int32)
-    # The last one, to which -1 points, stays -1: an observation without a station.
+    # The last element stays -1: index -1 is that of an observation without a station.
     number_of_station[images] = np.arange(images.size)
     table, total = _usable_rows(run, number_of_station)
-    coded = table["point"].chunk(0)
-    table = table.set_column(1, "point", coded.indices)
+    coded_names = table["point"].chunk(0)
+    table = table.set_column(1, "point", coded_names.indices)
     image = table["image"].to_numpy()
     point = table["point"].to_numpy()
-    image_and_point = image * np.int64(len(coded.dictionary)) + point
+    image_and_point = image * np.int64(len(coded_names.dictionary)) + point
     _, kept = np.unique(image_and_point, return_index=True)
     kept.sort(kind="stable")  # fast where images come one by one
     if kept.size < total:
@@ -271,7 +306,7 @@ def read_image_points(run: FinishedRun, images: Integers, ledger: Ledger) -> Ima
         x=table["x_corrected_px"].to_numpy(),
         y=table["y_corrected_px"].to_numpy(),
         h_g_m=table["h_g_m"].to_numpy(),
-        name=coded.dictionary,
+        name=coded_names.dictionary,
     )
 
 
@@ -279,10 +314,12 @@ def _usable_rows(
     run: FinishedRun,
     number_of_station: NDArray[np.int32],
 ) -> tuple[pa.Table, int]:
-    """Observations that are ok, with a point, of numbered images; and how many rows were read.
+    """The observations that a block uses, and how many were read.
 
-    ``number_of_station`` is that of the image, -1 for images that are left out. The table has the
-    columns of `_SCHEMA` in one chunk each, the points as a dictionary.
+    Used are those of status ok, with a point, in an image of the block. ``number_of_station``
+    (s + 1,) is the number of each station's image in the block, -1 for images that are left out and
+    for the last element. The table has the columns of `_SCHEMA` in one chunk each, points as a
+    dictionary.
     """
     total = 0
     tables = [_SCHEMA.empty_table()]
@@ -297,7 +334,7 @@ def _usable_rows(
         usable = columns.filter(is_usable)
         tables.append(usable.cast(_SCHEMA))
     pool = pa.default_memory_pool()
-    pool.release_unused()  # which it keeps else, as much as the block takes
+    pool.release_unused()  # otherwise the pool keeps as much memory as the block takes
     table = pa.concat_tables(tables)
     tables.clear()
     table = table.set_column(1, "point", table["point"].dictionary_encode())
@@ -311,42 +348,43 @@ def intersected(
     h_c: Array,
     h_g: Array,
 ) -> tuple[Array, Mask]:
-    """(t, 3) points by least squares of the angles across their rays, and whether these meet (t,).
+    """(t, 3) positions of the object points, and (t,) whether their rays intersect.
 
-    Where they do not meet at 3 degrees or more it is the mean of where they reach the ground.
-    ``up`` (n, 3) in the frame and ``h_c`` (n,) are those of the images, ``h_g`` (r,) heights of the
-    ground, both above sea level [m].
+    Rays intersect if two of them are 3 degrees or more apart: the position is then that of the
+    least squares of the angles across the rays. Else it is the mean of where they reach the ground.
+    ``up`` (n, 3) is the vertical of each image in the block's frame, ``h_c`` (n,) the height of its
+    camera, ``h_g`` (r,) that of the ground at the image points, both above sea level [m].
     """
     sums = _RaySums.of_points(len(block.point_m))
-    for i, camera, rows in block.images():
-        ray_in_camera = _image_rays(camera, block.x_px[rows], block.y_px[rows])
-        ray = ray_in_camera @ block.rotation[i]
+    for i, camera, image_points in block.images():
+        ray = _image_rays(block, camera, image_points) @ block.rotation[i]
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-        reach = straight_reach(
+        reach_m = straight_reach(
             h_c[i],
-            h_g[rows],
+            h_g[image_points],
             -ray @ up[i],
             radius=EARTH_RADIUS_M,
             far=False,
         )
-        sums.add(block.frame.position_m[i], block.point[rows], ray, reach)
-    images_of_point = np.maximum(block.count[: len(block.point_m), None], 1)
-    ground = sums.ground / images_of_point
-    distance = sums.distance / images_of_point
+        sums.add(block.frame.position_m[i], block.point[image_points], ray, reach_m)
+    rays_of_point = np.maximum(block.images_of_point[: len(block.point_m), None], 1)
+    ground = sums.ground / rays_of_point
+    distance = sums.distance / rays_of_point
     position, are_apart = _least_squares(sums.normal, sums.right)
-    # Behind a camera it is farther from the ground than that is.
+    # A position behind the cameras is farther from the ground than the cameras are.
     from_ground = np.linalg.norm(position - ground, axis=1)
     is_before_cameras = from_ground < distance[:, 0]
-    met = are_apart & is_before_cameras
-    return np.where(met[:, None], position, ground), met
+    is_intersected = are_apart & is_before_cameras
+    return np.where(is_intersected[:, None], position, ground), is_intersected
 
 
 @dataclass(frozen=True, eq=False)
 class _RaySums:
-    """Sums over the rays of points (t,).
+    """Sums over the rays of each point (t,).
 
-    ``normal`` (t, 3, 3) and ``right`` (t, 3) are equations of the squares of the angles across the
-    rays; ``ground`` (t, 3) is where these end on the ground, ``distance`` (t, 1) how far away.
+    ``normal`` (t, 3, 3) and ``right`` (t, 3) are the normal equations for the position with the
+    least squares of the angles across the rays, and their right sides; ``ground`` (t, 3) sums where
+    the rays reach the ground, ``distance`` (t, 1) how far from the cameras [m].
     """
 
     normal: Array
@@ -356,7 +394,7 @@ class _RaySums:
 
     @classmethod
     def of_points(cls, points: int) -> "_RaySums":
-        """Sums over no rays."""
+        """Zero sums for a number of points."""
         return cls(
             normal=np.zeros((points, 3, 3)),
             right=np.zeros((points, 3)),
@@ -369,34 +407,37 @@ class _RaySums:
         centre: Array,
         point: Integers,
         ray: Array,
-        reach: Array,
+        reach_m: Array,
     ) -> None:
-        """Add the rays (n, 3) of an image with a ``reach`` (n,) [m], of those of the points (t,).
+        """Add the rays of an image to the sums of their points.
 
-        ``centre`` (3,) is that of the projection. A point is in an image once: no index repeats.
+        ``centre`` (3,) : of the projection. ``point`` (m,) : the number of each ray's point, no
+        number twice; rays of other points than those of the sums are left out. ``ray`` (m, 3) :
+        unit vectors. ``reach_m`` (m,) : distance to the ground; rays with NaN are left out.
         """
-        is_used = (point < len(self.normal)) & np.isfinite(reach)
+        is_used = (point < len(self.normal)) & np.isfinite(reach_m)
         point = point[is_used]
         ray = ray[is_used]
-        reach = reach[is_used, None]
-        projection = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-        across = projection / reach[:, :, None] ** 2
-        self.normal[point] += across
-        self.right[point] += across @ centre
-        self.ground[point] += centre + reach * ray
-        self.distance[point] += reach
+        reach_m = reach_m[is_used, None]
+        across_ray = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        weighted = across_ray / reach_m[:, :, None] ** 2
+        self.normal[point] += weighted
+        self.right[point] += weighted @ centre
+        self.ground[point] += centre + reach_m * ray
+        self.distance[point] += reach_m
 
 
-def _image_rays(camera: Camera, x_px: Array, y_px: Array) -> Array:
-    """(n, 3) directions (u, v, 1) of corrected image points in the frame of the camera."""
-    u, v = ideal_coordinates(camera, x_px, y_px)
+def _image_rays(block: ExportedBlock, camera: Camera, image_points: slice) -> Array:
+    """(n, 3) directions (u, v, 1) of the image points of an image, in the frame of its camera."""
+    u, v = ideal_coordinates(camera, block.x_px[image_points], block.y_px[image_points])
     return np.stack([u, v, np.ones(u.size)], axis=1)
 
 
 def _least_squares(normal: Array, right: Array) -> tuple[Array, Mask]:
-    """(t, 3) solutions of normal equations, and whether two rays are 3 degrees apart (t,).
+    """(t, 3) solutions of normal equations, and (t,) whether two rays are 3 degrees apart.
 
-    Equations of points whose rays are not are overwritten by unit matrices.
+    The solution means nothing where they are not: there ``normal`` (t, 3, 3) is overwritten by unit
+    matrices, because it may be singular.
     """
     # Two rays at an angle a have (1 - cos a) / 4 of the trace as the least eigenvalue.
     part_of_trace = 0.25 * (1.0 - np.cos(MINIMUM_ANGLE_RAD))

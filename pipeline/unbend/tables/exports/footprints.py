@@ -1,4 +1,4 @@
-"""What the exports of stations have in common: which have a place, in one frame, what they show."""
+"""What exports share: stations with a position, stations in one frame, footprints of images."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,25 +23,32 @@ from unbend.tables.exports.export_frames import origin_of
 from unbend.units import Array, Integers, Mask
 
 
-def placed_stations(run: FinishedRun, known: Mask, what: str, ledger: Ledger) -> Integers:
-    """(n,) the stations that are ``known`` (s,); the others are a loss, ``what`` they lack."""
-    missing = run.stations.image[~known]
-    if missing.size:
+def placed_stations(run: FinishedRun, is_placed: Mask, lacking: str, ledger: Ledger) -> Integers:
+    """(n,) the rows of the stations with ``is_placed`` (s,); the others are added as a loss.
+
+    ``lacking`` : what the others do not have, for the message.
+    """
+    left_out_images = run.stations.image[~is_placed]
+    if left_out_images.size:
         left_out = messages.stations_left_out(
-            where="stations.parquet", count=missing.size, lacking=what, first=missing[0]
+            where="stations.parquet",
+            count=left_out_images.size,
+            lacking=lacking,
+            first=left_out_images[0],
         )
         ledger.add(left_out)
-    return np.flatnonzero(known).astype(np.int64)
+    return np.flatnonzero(is_placed).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
-class OneFrame:
-    """Stations (n,) in the frame east, north, up at ``origin_deg``, up along the ellipsoid normal.
+class StationsInFrame:
+    """Stations (n,) in one frame: east, north, up at an origin, up along the ellipsoid normal.
 
-    ``origin_deg`` (3,) latitude, longitude [deg] and height above the ellipsoid [m] (WGS84);
-    ``enu_from_ecef`` (3, 3). ``position_m`` (n, 3); ``quaternion`` (n, 4) as of stations, but
-    turned from the horizon of each to that of the origin: 324 arcsec in 10 km.
-    ``covariance_m2`` (n, 3, 3) of the positions, NaN where a sigma is unknown.
+    ``origin_deg`` (3,) : latitude, longitude [deg] and height above the ellipsoid [m] (WGS84).
+    ``enu_from_ecef`` (3, 3) : rotation from earth-centred axes to the frame. ``position_m`` (n, 3),
+    ``quaternion`` (n, 4) : positions in the frame, and rotations from it to the cameras; those of
+    `Stations` are from the horizon of each station, which turns by 324 arcsec in 10 km.
+    ``covariance_m2`` (n, 3, 3) : of the positions, NaN where a sigma is unknown.
     """
 
     origin_deg: Array
@@ -51,10 +58,10 @@ class OneFrame:
     covariance_m2: Array
 
 
-def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
-    """The stations of some rows, at least one, all with latitude, longitude and h_ellipsoid_m.
+def stations_in_one_frame(run: FinishedRun, rows: Integers) -> StationsInFrame:
+    """The stations of some rows in the frame at the middle of their extent (`origin_of`).
 
-    The origin is the middle of their extent, to 1e-5 degrees and one metre.
+    ``rows`` (n,), at least one, all with latitude, longitude and h_ellipsoid_m.
     """
     stations = run.stations
     lat = stations.lat_rad[rows]
@@ -63,34 +70,34 @@ def stations_in_one_frame(run: FinishedRun, rows: Integers) -> OneFrame:
     origin_deg = origin_of(lat, lon, h)
     origin_lat = np.radians(origin_deg[:1])
     origin_lon = np.radians(origin_deg[1:2])
-    to_origin = enu_from_ecef(origin_lat, origin_lon)[0]
-    axes = enu_from_ecef(lat, lon) @ to_origin.T  # from the frame to the station's own
+    frame_from_ecef = enu_from_ecef(origin_lat, origin_lon)[0]
+    enu_from_frame = enu_from_ecef(lat, lon) @ frame_from_ecef.T  # enu at each station
     origin_ecef = ecef_of_geodetic(origin_lat, origin_lon, origin_deg[2:])
     from_origin_ecef = ecef_of_geodetic(lat, lon, h) - origin_ecef
     horizontal = stations.sigma_horizontal_m[rows]
     vertical = stations.sigma_height_m[rows]
     sigma = np.stack([horizontal, horizontal, vertical], axis=1)
     variance = sigma[:, :, None] ** 2
-    return OneFrame(
+    return StationsInFrame(
         origin_deg=origin_deg,
-        enu_from_ecef=to_origin,
-        position_m=from_origin_ecef @ to_origin.T,
-        quaternion=in_turned_frame(stations.quaternion[rows], axes),
-        covariance_m2=np.swapaxes(axes, 1, 2) @ (variance * axes),
+        enu_from_ecef=frame_from_ecef,
+        position_m=from_origin_ecef @ frame_from_ecef.T,
+        quaternion=in_turned_frame(stations.quaternion[rows], enu_from_frame),
+        covariance_m2=np.swapaxes(enu_from_frame, 1, 2) @ (variance * enu_from_frame),
     )
 
 
 def footprints(run: FinishedRun, ledger: Ledger) -> Array:
     """(s, 4, 2) longitude, latitude [deg] of the ground at the corners of each image.
 
-    As `ground_corners` at the height ``run.ground_m``. NaN for an image without ground, or a corner
-    of which shows none (ledger: EXPORT-NO-GROUND).
+    `ground_corners` at the heights ``run.ground_m``; NaN for unusable stations too. Usable stations
+    without a footprint are a loss (EXPORT-NO-GROUND).
     """
     cameras = {name: camera.camera for name, camera in run.cameras.items()}
     ground_m = np.where(run.exposures.usable, run.ground_m, np.nan)
     corners = ground_corners(run.stations, cameras, ground_m, run.exposures.radius_m)
-    without = np.isnan(corners).any(axis=(1, 2))
-    count = int((without & run.exposures.usable).sum())
+    is_missing = np.isnan(corners).any(axis=(1, 2))
+    count = int((is_missing & run.exposures.usable).sum())
     if count:
         ledger.add(messages.footprints_missing(where="observations", count=count))
     return corners
@@ -102,12 +109,13 @@ def ground_corners(
     ground_m: Array,
     radius_m: float | None,
 ) -> Array:
-    """(s, 4, 2) longitude, latitude [deg] of the ground at the corners of each image.
+    """(s, 4, 2) longitude, latitude [deg] where the corners of each image are on the ground.
 
-    Counter-clockwise seen from above, from the upper left: straight lines through the corners, at
-    the heights ``ground_m`` (s,) above sea level, NaN for none; refraction moves them by some
-    metres. Longitudes go on beyond 180 degrees across that meridian. ``radius_m`` of the earth,
-    None for the ellipsoid's. NaN for an image without ground, or a corner of which shows none.
+    By straight rays: refraction moves them by some metres. The order is that of `corner_rays`,
+    counter-clockwise seen from above. ``ground_m`` (s,) : height above sea level, NaN if unknown.
+    ``radius_m`` : of the earth, None for that of the ellipsoid. Longitudes go on beyond 180 degrees
+    across that meridian. All corners of an image are NaN if its ground is unknown, or a corner does
+    not show the ground.
     """
     corners = np.full((len(stations), 4, 2), np.nan)
     is_above_ground = ground_m < stations.h_msl_m
@@ -115,9 +123,10 @@ def ground_corners(
         rows = np.flatnonzero((stations.camera == name) & is_above_ground)
         camera_from_enu = matrices_of(stations.quaternion[rows])
         for corner, ray in enumerate(corner_rays(camera)):
+            direction_enu = np.einsum("nji,j->ni", camera_from_enu, ray)
             corners[rows, corner] = _places_on_ground(
                 stations.rows(rows),
-                np.einsum("nji,j->ni", camera_from_enu, ray),
+                direction_enu,
                 ground_m[rows],
                 radius_m,
             )
@@ -127,7 +136,10 @@ def ground_corners(
 
 
 def corner_rays(camera: Camera) -> Array:
-    """(4, 3) unit vectors through the corners of an image, from the upper left downwards."""
+    """(4, 3) unit vectors in the camera through the corners of an image.
+
+    In the order upper left, lower left, lower right, upper right.
+    """
     right = camera.width_px
     bottom = camera.height_px
     x_px = np.array([0.0, 0.0, right, right])
@@ -143,9 +155,11 @@ def _places_on_ground(
     ground_m: Array,
     radius_m: float | None,
 ) -> Array:
-    """(n, 2) longitude, latitude [deg] where straight rays of stations end on the ground.
+    """(n, 2) longitude, latitude [deg] where a straight ray of each station reaches the ground.
 
-    ``direction_enu`` (n, 3) of unit length; longitudes within half a turn of the station's.
+    NaN where it does not. ``direction_enu`` (n, 3) : unit vectors, east, north, up at the station.
+    ``ground_m``, ``radius_m`` : as of `ground_corners`. Longitudes are within half a turn of the
+    station's.
     """
     azimuth = np.arctan2(direction_enu[:, 0], direction_enu[:, 1])
     radius = radius_m or euler_radius(stations.lat_rad, azimuth)

@@ -1,9 +1,9 @@
-"""GeoPackage: stations, footprints and points as layers, with the styles that QGIS takes.
+"""GeoPackage: stations, footprints and points as layers, with styles for QGIS.
 
-Source: OGC 12-128r18 (GeoPackage 1.3). A geometry is a header of eight bytes and WKB, whose x is
-the longitude or east whatever the order of the axes in the coordinate system. The styles are in
-QGIS's own table ``layer_styles``: it shows the layers so when they are opened. Points have the
-shift as vectors, enlarged; the longest twentieth is longer than `LONGEST_ARROW_MM`.
+Source: OGC 12-128r18 (GeoPackage 1.3). A geometry is a header of eight bytes and WKB with x as
+longitude or east, for any order of the axes in the coordinate system. The styles are in QGIS's
+table ``layer_styles``: QGIS applies them when it opens the layers. Points show the shift as
+enlarged arrows; one in twenty is longer than `LONGEST_ARROW_MM`.
 """
 
 import sqlite3
@@ -37,7 +37,7 @@ from unbend.tables.writing import points_wkb
 from unbend.units import Array
 
 LONGEST_ARROW_MM = 8.0
-"""Of 95 % of the shifts, as QGIS draws them: longer ones hide their neighbours."""
+"""Length in QGIS that 95 % of the arrows do not exceed: longer ones hide their neighbours."""
 
 _APPLICATION_ID = 0x47504B47  # "GPKG"
 _VERSION = 10_300
@@ -50,13 +50,13 @@ Row = tuple[object, ...]
 
 @dataclass
 class BoundingBox:
-    """The smallest box about what was written, of which nothing is known at first."""
+    """The smallest box around the coordinates that were included; ``low`` > ``high`` if none."""
 
     low: tuple[float, float] = (np.inf, np.inf)
     high: tuple[float, float] = (-np.inf, -np.inf)
 
     def include(self, x: Array, y: Array) -> None:
-        """Make it so large that places are in it."""
+        """Enlarge the box so that it contains (n,) coordinates."""
         if x.size == 0:
             return
         self.low = min(self.low[0], float(x.min())), min(self.low[1], float(y.min()))
@@ -67,8 +67,8 @@ class BoundingBox:
 class FeatureLayer:
     """A table of features.
 
-    ``columns`` : SQL types by their names, without id and geometry. ``rows`` yields the geometry
-    and then the values of these.
+    ``geometry`` : its type. ``columns`` : SQL types by name, without id and geometry. ``rows`` :
+    geometry, then values of the columns. ``extent`` : complete when all rows have been read.
     """
 
     name: str
@@ -81,7 +81,7 @@ class FeatureLayer:
 
 
 def write_geopackage(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
-    """The three layers and their styles; the number of features."""
+    """Write the three layers and their styles; returns the number of features."""
     grid = run.required_grid
     number = srs_number(grid)
     shifts: list[Array] = []
@@ -100,7 +100,7 @@ def write_geopackage(run: FinishedRun, _: Values, path: Path, ledger: Ledger) ->
 
 
 def srs_number(grid: MapGrid) -> int:
-    """The number of a coordinate system in the file: that of EPSG, if it has one."""
+    """The number of a coordinate system in the file: its EPSG code, or `_CUSTOM_SRS`."""
     code = grid.identifier.removeprefix("EPSG:")
     return int(code) if code.isdigit() else _CUSTOM_SRS
 
@@ -131,7 +131,10 @@ POINT_COLUMNS = {
 
 
 def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) -> FeatureLayer:
-    """A point for each station with a position, usable or not."""
+    """The layer with a point for each station with a position, usable or not.
+
+    ``number`` is that of the coordinate system. Other stations are a loss.
+    """
     stations = run.stations
     x, y = grid.coordinates(stations.lat_rad, stations.lon_rad)
     rows = placed_stations(run, np.isfinite(x) & np.isfinite(y), "position", ledger)
@@ -157,7 +160,10 @@ def station_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) 
 
 
 def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger) -> FeatureLayer:
-    """A polygon for each image that shows the ground."""
+    """The layer with a polygon for each image with a footprint.
+
+    ``number`` is that of the coordinate system. Usable images without a footprint are a loss.
+    """
     corners_rad = np.radians(footprints(run, ledger))
     longitude_rad = corners_rad[:, :, 0].ravel()
     latitude_rad = corners_rad[:, :, 1].ravel()
@@ -187,7 +193,11 @@ def footprint_layer(run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger
 def point_layer(
     run: FinishedRun, grid: MapGrid, number: int, ledger: Ledger, shifts: list[Array]
 ) -> FeatureLayer:
-    """A point for each corrected observation; lengths of shifts [m] are added to ``shifts``."""
+    """The layer with a point for each observation on the ground.
+
+    ``number`` is that of the coordinate system. While the rows are read, the lengths of the shifts
+    [m] are appended to ``shifts``, an array (n,) for each part of the observations.
+    """
     extent = BoundingBox()
 
     def rows() -> Iterator[Row]:
@@ -220,70 +230,72 @@ Column = list[object]
 
 
 def plain(values: NDArray[Any]) -> Column:
-    """Values as SQLite takes them; NaN as null."""
+    """Values as SQLite takes them; NaN becomes null."""
     return [None if value != value else value for value in values.tolist()]
 
 
 def times(values: NDArray[np.datetime64]) -> Column:
-    """Times as GeoPackage has them, to the millisecond; NaT as null."""
+    """Times in GeoPackage's text form, to the millisecond; NaT becomes null."""
     return [time_text(time) for time in values]
 
 
 def time_text(time: np.datetime64) -> str | None:
-    """A time as GeoPackage has it, to the millisecond."""
+    """A time in GeoPackage's text form, to the millisecond; None for NaT."""
     return None if np.isnat(time) else f"{np.datetime_as_string(time, unit='ms')}Z"
 
 
 def geometries(shapes: Sequence[bytes | None], number: int) -> Column:
-    """Geometries of the file, from WKB."""
+    """Geometries with GeoPackage's header, from WKB; ``number`` is that of the system."""
     header = _HEADER.pack(b"GP", 0, _LITTLE_ENDIAN, number)
     return [None if shape is None else header + shape for shape in shapes]
 
 
 def polygon_wkb(ring: Array) -> bytes:
-    """A polygon of one closed ring (k, 2)."""
-    places = np.ascontiguousarray(ring, dtype="<f8").tobytes()
-    return struct.pack("<BIII", 1, 3, 1, len(ring)) + places
+    """The WKB of a polygon of one closed ring (k, 2)."""
+    coordinates = np.ascontiguousarray(ring, dtype="<f8").tobytes()
+    # Little-endian, type polygon, one ring, points of the ring.
+    return struct.pack("<BIII", 1, 3, 1, len(ring)) + coordinates
 
 
 # ---------------------------------------------------------------------- tables of the file
 
 
 def create_tables(database: sqlite3.Connection, grid: MapGrid, number: int) -> None:
-    """The tables that every file has, with the coordinate system."""
+    """Create the tables that each file has, with the coordinate system and its ``number``."""
     database.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
     database.execute(f"PRAGMA user_version = {_VERSION}")
-    for statement in sql_of("geopackage.sql").split(";\n"):
+    for statement in data_text("geopackage.sql").split(";\n"):
         database.execute(statement)
     authority = "EPSG" if number != _CUSTOM_SRS else "NONE"
-    of_grid = (grid.name, number, authority, number, grid.wkt1 or "undefined", grid.wkt)
+    row = (grid.name, number, authority, number, grid.wkt1 or "undefined", grid.wkt)
     database.execute(
         "INSERT OR REPLACE INTO gpkg_spatial_ref_sys (srs_name, srs_id, organization,"
         " organization_coordsys_id, definition, definition_12_063) VALUES (?, ?, ?, ?, ?, ?)",
-        of_grid,
+        row,
     )
 
 
 @cache
-def sql_of(name: str) -> str:
-    """A file of the package's data."""
+def data_text(name: str) -> str:
+    """The text of a file of the package's data."""
     return files("unbend.tables").joinpath(f"data/{name}").read_text("utf-8").strip()
 
 
 def add_layer(database: sqlite3.Connection, layer: FeatureLayer, number: int) -> int:
-    """Write a layer; the number of its features."""
+    """Write a layer; returns the number of its features."""
     types = "".join(f', "{name}" {kind}' for name, kind in layer.columns.items())
     database.execute(
         f'CREATE TABLE "{layer.name}" (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,'
         f" geom {layer.geometry}{types})"
     )
     names = "".join(f', "{name}"' for name in layer.columns)
-    places = ", ".join("?" * (1 + len(layer.columns)))
-    insert = f'INSERT INTO "{layer.name}" (geom{names}) VALUES ({places})'
+    placeholders = ", ".join("?" * (1 + len(layer.columns)))
+    insert = f'INSERT INTO "{layer.name}" (geom{names}) VALUES ({placeholders})'
     count = database.executemany(insert, layer.rows).rowcount
     low = layer.extent.low
     high = layer.extent.high
-    box = (None, None, None, None) if low[0] > high[0] else (*low, *high)
+    is_empty = low[0] > high[0]
+    box = (None, None, None, None) if is_empty else (*low, *high)
     database.execute(
         "INSERT INTO gpkg_contents VALUES (?, 'features', ?, ?, ?, ?, ?, ?, ?, ?)",
         (layer.name, layer.name, layer.about, now_text(), *box, number),
@@ -292,11 +304,11 @@ def add_layer(database: sqlite3.Connection, layer: FeatureLayer, number: int) ->
         "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, ?, 0)",
         (layer.name, layer.geometry, number, layer.has_z),
     )
-    return max(count, 0)
+    return max(count, 0)  # it may be -1 without rows
 
 
 def now_text() -> str:
-    """The time, as the file states when a layer was written."""
+    """The present time in GeoPackage's text form."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
 
 
@@ -304,14 +316,20 @@ def now_text() -> str:
 
 
 def millimetres_a_metre(shifts: Sequence[Array]) -> float:
-    """How long a shift of a metre is drawn [mm]: 95 % are within `LONGEST_ARROW_MM`."""
-    lengths = np.concatenate([*shifts, np.empty(0)])
-    longest_m = float(np.quantile(lengths, 0.95)) if lengths.size else 0.0
+    """The length of the arrow of a shift of 1 m [mm], so that 95 % are within `LONGEST_ARROW_MM`.
+
+    ``shifts`` : arrays of lengths [m]. 1 mm if there are no shifts, or 95 % of them are zero.
+    """
+    lengths_m = np.concatenate([*shifts, np.empty(0)])
+    longest_m = float(np.quantile(lengths_m, 0.95)) if lengths_m.size else 0.0
     return LONGEST_ARROW_MM / longest_m if longest_m > 0.0 else 1.0
 
 
 def add_styles(database: sqlite3.Connection, mm_a_metre: float) -> None:
-    """QGIS's table of styles, one a layer, each the default of its layer."""
+    """Add a default style of each layer to QGIS's table of styles, and list that table.
+
+    ``mm_a_metre`` : length of the arrow of a shift of 1 m.
+    """
     about = f"arrows: shift by the correction, 1 m is {mm_a_metre:.4g} mm"
     styles = (
         ("points", "correction on the ground", about),
@@ -319,7 +337,7 @@ def add_styles(database: sqlite3.Connection, mm_a_metre: float) -> None:
         ("stations", "stations", "projection centres"),
     )
     for layer, name, description in styles:
-        text = Template(sql_of(f"style_{layer}.qml")).substitute(mm_a_metre=f"{mm_a_metre:.9g}")
+        text = Template(data_text(f"style_{layer}.qml")).substitute(mm_a_metre=f"{mm_a_metre:.9g}")
         database.execute(
             "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name,"
             " f_geometry_column, styleName, styleQML, useAsDefault, description, update_time)"

@@ -1,7 +1,7 @@
-"""Where each observation lies on the ground, and by how much the correction moved it there.
+"""Where each observation is on the ground, and by how much the correction moved it there.
 
-A place is where the straight ray through the corrected image point reaches the height that the run
-took for it. The shift leads there from where the ray through the measured point would land.
+That is where the straight ray through the corrected image point reaches the ground height that the
+run used. The shift leads there from where the straight ray through the measured point would land.
 """
 
 from collections.abc import Iterator
@@ -93,7 +93,8 @@ class PointsOnGround:
 def ground_points(run: FinishedRun, grid: MapGrid, ledger: Ledger) -> Iterator[PointsOnGround]:
     """The observations of a run on the ground, part by part.
 
-    Those without a correction or a usable station are left out, as a loss.
+    Observations without a correction, a usable station or coordinates in ``grid`` are left out, and
+    added as a loss after the last part.
     """
     total = 0
     written = 0
@@ -111,15 +112,23 @@ def ground_points(run: FinishedRun, grid: MapGrid, ledger: Ledger) -> Iterator[P
 def points_of_part(
     run: FinishedRun, grid: MapGrid, station: Integers, table: pa.Table
 ) -> PointsOnGround:
-    """The rows of a part of the observations that have a place on the ground."""
-    measured = [run.pixels.to_colmap(numbers(table, name)) for name in ("x_px", "y_px")]
-    corrected = [
-        run.pixels.to_colmap(numbers(table, name)) for name in ("x_corrected_px", "y_corrected_px")
+    """The rows of a part of the observations that have coordinates on the ground.
+
+    ``table`` has the columns `_COLUMNS`, ``station`` (m,) the row of each observation's station,
+    -1 without one.
+    """
+    measured = [
+        run.pixels.to_colmap(number_column(table, "x_px")),
+        run.pixels.to_colmap(number_column(table, "y_px")),
     ]
-    h_g_m = numbers(table, "h_g_m")
+    corrected = [
+        run.pixels.to_colmap(number_column(table, "x_corrected_px")),
+        run.pixels.to_colmap(number_column(table, "y_corrected_px")),
+    ]
+    h_g_m = number_column(table, "h_g_m")
     is_far = np.asarray(table["status"].to_pandas() == _FAR)
-    apparent = landings(run, station, measured, h_g_m, is_far)
-    true = landings(run, station, corrected, h_g_m, is_far)
+    apparent = landings_of_pixels(run, station, measured, h_g_m, is_far)
+    true = landings_of_pixels(run, station, corrected, h_g_m, is_far)
     x, y = grid.coordinates(true.lat_rad, true.lon_rad)
     shift_x_m, shift_y_m = shifts(grid, apparent, true, (x, y), h_g_m)
     undulation = (run.stations.h_ellipsoid_m - run.stations.h_msl_m)[station]
@@ -141,17 +150,19 @@ def points_of_part(
     )
 
 
-def numbers(table: pa.Table, name: str) -> Array:
-    """(n,) numbers of a column, NaN where it is null."""
+def number_column(table: pa.Table, name: str) -> Array:
+    """(n,) numbers of a column, NaN for null."""
     return np.asarray(table[name].to_numpy(), dtype=np.float64)
 
 
-def landings(
+def landings_of_pixels(
     run: FinishedRun, station: Integers, xy_px: list[Array], h_g_m: Array, is_far: Mask
 ) -> RayLandings:
-    """Where the straight rays through image points (n,) reach the heights of the ground.
+    """Where the straight rays through image points (n,) reach the ground heights ``h_g_m``.
 
-    ``station`` (n,) is -1 for an image without one; ``is_far`` : at the second crossing.
+    ``station`` (n,) : row of the image's station, -1 without one. ``xy_px`` : x and y in COLMAP's
+    pixels. ``is_far`` (n,) : at the second crossing of the height instead of the first (status
+    far_branch). NaN without a usable station.
     """
     lat = np.full(station.size, np.nan)
     lon = np.full(station.size, np.nan)
@@ -159,9 +170,9 @@ def landings(
     for name, camera in run.cameras.items():
         rows = np.flatnonzero(is_seen & (run.stations.camera[station] == name))
         rays = rays_of_pixels(camera.camera, xy_px[0][rows], xy_px[1][rows])
-        landed = land(run, station[rows], rays, h_g_m[rows], is_far[rows])
-        lat[rows] = landed.lat_rad
-        lon[rows] = landed.lon_rad
+        landings = landings_of_rays(run, station[rows], rays, h_g_m[rows], is_far[rows])
+        lat[rows] = landings.lat_rad
+        lon[rows] = landings.lon_rad
     return RayLandings(lat, lon)
 
 
@@ -172,10 +183,14 @@ def rays_of_pixels(camera: Camera, x_px: Array, y_px: Array) -> Array:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def land(
+def landings_of_rays(
     run: FinishedRun, station: Integers, rays: Array, h_g_m: Array, is_far: Mask
 ) -> RayLandings:
-    """Where rays (n, 3) of the cameras of stations (n,) reach heights above sea level."""
+    """Where straight rays reach the heights ``h_g_m`` (n,) above sea level.
+
+    ``station`` (n,) : rows of stations. ``rays`` (n, 3) : unit vectors in their cameras. ``is_far``
+    (n,) : at the second crossing of the height.
+    """
     stations = run.stations
     lat = stations.lat_rad[station]
     lon = stations.lon_rad[station]
@@ -186,17 +201,18 @@ def land(
     radius = run.exposures.radius_m or euler_radius(lat, azimuth)
     reach = straight_reach(h_msl, h_g_m, -enu[:, 2], radius=radius, far=is_far)
     height = np.where(np.isfinite(h_ellipsoid), h_ellipsoid, h_msl)
-    at_lat, at_lon, _ = offset_geodetic(lat, lon, height, enu * reach[:, None])
-    return RayLandings(at_lat, at_lon)
+    ground_lat, ground_lon, _ = offset_geodetic(lat, lon, height, enu * reach[:, None])
+    return RayLandings(ground_lat, ground_lon)
 
 
 def shifts(
     grid: MapGrid, apparent: RayLandings, true: RayLandings, xy: tuple[Array, Array], h_g_m: Array
 ) -> tuple[Array, Array]:
-    """(n,) shifts [m on the ground] along the axes of the grid, or to the east and north.
+    """(n,) shifts [m on the ground] along x and y of a map grid; else to the east and north.
 
-    ``xy`` are the coordinates of ``true``. In a map grid shifts have its directions, but their
-    length is that on the ground: the scale of the projection is taken out.
+    They lead from the ``apparent`` to the ``true`` landings; ``xy`` are the coordinates of the true
+    ones in ``grid``. ``h_g_m`` : height above sea level. In a map grid the direction is that of the
+    grid, but the length is that on the ground: the scale of the projection is divided out.
     """
     meridian, prime_vertical = principal_radii(true.lat_rad)
     lon_difference = wrapped(true.lon_rad - apparent.lon_rad)
@@ -214,27 +230,26 @@ def shifts(
 
 
 def point_columns(grid: MapGrid, points: PointsOnGround) -> dict[str, Array]:
-    """What is written of points, beside image, point and status."""
+    """The numeric columns that are written of points: coordinates and `ATTRIBUTES`."""
     return place_columns(grid, points.x, points.y, points.height) | attributes_of(points)
 
 
 def attributes_of(points: PointsOnGround) -> dict[str, Array]:
-    """The values of `ATTRIBUTES`."""
+    """The columns `ATTRIBUTES` of points."""
     return {name: getattr(points, name) for name in ATTRIBUTES}
 
 
 def write_points(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
-    """A row for each corrected observation, as CSV."""
+    """Write a CSV with a row for each observation on the ground; returns the number of rows."""
     grid = run.required_grid
-    empty = np.empty(0)
-    places = place_columns(grid, empty, empty, empty)
-    words = ("image", "point")
+    no_values = np.empty(0)
+    coordinate_names = place_columns(grid, no_values, no_values, no_values)
     text = (pa.string(), "", "")
     number = (pa.float64(), "", "")
-    kinds = dict.fromkeys(words, text)
-    kinds |= dict.fromkeys((*places, *ATTRIBUTES), number)
-    kinds["status"] = text
-    schema = schema_of(kinds, run.metadata)
+    columns_of_schema = dict.fromkeys(("image", "point"), text)
+    columns_of_schema |= dict.fromkeys((*coordinate_names, *ATTRIBUTES), number)
+    columns_of_schema["status"] = text
+    schema = schema_of(columns_of_schema, run.metadata)
 
     def tables() -> Iterator[pa.Table]:
         for points in ground_points(run, grid, ledger):
@@ -248,13 +263,13 @@ def write_points(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int
 
 
 def texts_of(column: pa.ChunkedArray) -> pa.Array:
-    """A column of texts, of which one may be coded as numbers, in one piece."""
+    """A column as texts in one chunk; it may be a dictionary."""
     texts = column.cast(pa.string())
     return texts.combine_chunks()
 
 
 def frame_of_points(run: FinishedRun, _: Values) -> ExportFrame:
-    """Places in the coordinate system, and image coordinates of the run."""
+    """The frame of points: coordinates in the grid, and image coordinates of the run."""
     return ExportFrame(
         positions=grid_frame(run.required_grid),
         pixels=pixels_of_run(run.pixels),

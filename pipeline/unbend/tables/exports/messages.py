@@ -17,7 +17,7 @@ EXPORT_AIR_CHANGES = Code(
 
 
 def air_changes(*, where: str, count: int) -> Message:
-    """Radial tables of a flight whose air changes."""
+    """The air changes during the flight; radial tables have one profile each."""
     return warning(
         EXPORT_AIR_CHANGES,
         (
@@ -45,7 +45,7 @@ EXPORT_CALIBRATION = Code(
 
 
 def calibration_holds_refraction(*, where: str, name: str) -> Message:
-    """A calibration that was estimated on images from which nobody removed refraction."""
+    """A calibration was estimated on images with refraction in."""
     return loss(
         EXPORT_CALIBRATION,
         (
@@ -85,7 +85,7 @@ EXPORT_CAMERAS = Code(
 
 
 def camera_numbers(*, where: str, count: int, numbers: str) -> Message:
-    """Which number each camera has."""
+    """The number of each camera; ``numbers`` lists them in words."""
     return note(EXPORT_CAMERAS, "camera {numbers}", where=where, count=count, numbers=numbers)
 
 
@@ -127,7 +127,10 @@ EXPORT_ENDING = Code(
 def ending_of_file(
     *, where: Path | str, name: str, ending: str, rename: str, others: str
 ) -> ConfigError:
-    """A format of one file, for a path without its ending; ``others`` would fit, or none."""
+    """A format of one file is asked for at a path without its ending.
+
+    ``rename`` : a name that fits. ``others`` : formats with the ending of the path, "" for none.
+    """
     return ConfigError(
         EXPORT_ENDING,
         "{name} is written to a file that ends in {ending}",
@@ -143,7 +146,10 @@ def ending_of_file(
 
 
 def ending_of_folder(*, where: Path | str, name: str, rename: str, others: str) -> ConfigError:
-    """A format of several files, for a path with the ending of ``others``."""
+    """A format of several files is asked for at a path with the ending of other formats.
+
+    ``rename`` : a name that fits. ``others`` : the formats with this ending.
+    """
     return ConfigError(
         EXPORT_ENDING,
         "{name} is written to a folder",
@@ -168,7 +174,8 @@ def format_unknown(
 ) -> ConfigError:
     """No export has this name.
 
-    ``similar`` are the most alike, and ``of_program`` those for a program of this name, or none.
+    ``similar`` : names of formats like it; ``of_program`` : formats for a program of this name;
+    both "" for none. ``known`` : all formats.
     """
     remedy = "one of {known}"
     if similar:
@@ -196,7 +203,7 @@ EXPORT_FRAME = Code(
 
 
 def block_frame(*, where: str, lat: float, lon: float, h: float) -> Message:
-    """Where the frame of a block has its origin, in degrees and metres."""
+    """The origin of the frame of a block: degrees, and metres above the ellipsoid."""
     return note(
         EXPORT_FRAME,
         (
@@ -236,7 +243,7 @@ def stations_left_out(*, where: str, count: int, lacking: str, first: str) -> Me
 
 
 def points_beyond_distortion(*, where: str, count: int) -> Message:
-    """Image points that cannot be undistorted, and those that are alone without them."""
+    """Image points cannot be undistorted, or are single because others cannot."""
     return loss(
         EXPORT_LEFT_OUT,
         (
@@ -292,7 +299,11 @@ def images_without_ground(*, where: str, count: int) -> Message:
 def observations_left_out(
     *, where: str, count: int, total: int, unusable: int, again: int
 ) -> Message:
-    """Observations that a block does not have; ``again`` are of a point a second time."""
+    """Observations are not in the block.
+
+    ``unusable`` : not ok, without point or station; ``again`` : of a point that is repeated in its
+    image.
+    """
     return loss(
         EXPORT_LEFT_OUT,
         (
@@ -351,9 +362,12 @@ EXPORT_NAMES = Code(
 
 
 def names_too_long(
-    *, where: Path | str, kind: str, one: str, other: str, short: str, longest: int
+    *, where: Path | str, kind: str, first: str, other: str, short: str, longest: int
 ) -> MissionError:
-    """Two images, cameras or points get the same name when theirs are shortened."""
+    """Two images, cameras or points (``kind``) have the same name after it is shortened.
+
+    ``first``, ``other`` : the two names. ``longest`` : characters of a name.
+    """
     return MissionError(
         EXPORT_NAMES,
         (
@@ -363,7 +377,7 @@ def names_too_long(
         where=where,
         remedy="rename them so that the last {longest} characters differ",
         kind=kind,
-        first=one,
+        first=first,
         other=other,
         short=short,
         longest=longest,
@@ -391,7 +405,7 @@ EXPORT_NO_GROUND = Code(
 
 
 def no_calibration(*, where: Path | str) -> MissionError:
-    """There is no image for which a calibration could be fitted."""
+    """No calibration can be fitted, because no usable image has a known ground height."""
     return MissionError(
         EXPORT_NO_GROUND,
         "the height of the ground is not known below any usable image",
@@ -401,7 +415,7 @@ def no_calibration(*, where: Path | str) -> MissionError:
 
 
 def lattice_without_ground(*, where: str, count: int) -> Message:
-    """Images whose corrections are null in a lattice."""
+    """Images have a lattice without corrections, because their ground height is unknown."""
     return loss(
         EXPORT_NO_GROUND,
         (
@@ -443,7 +457,7 @@ EXPORT_NO_SIGMA = Code(
 
 
 def sigmas_missing(*, where: str, count: int) -> Message:
-    """Stations whose position has no sigma, in a database."""
+    """Stations in a database have no sigma of their position."""
     return fallback(
         EXPORT_NO_SIGMA,
         (
@@ -519,7 +533,7 @@ def option_unknown(*, where: str, name: str, options: str) -> ConfigError:
 
 
 def grid_not_taken(*, name: str, takers: str) -> ConfigError:
-    """A format has a frame of its own, and takes no coordinate system."""
+    """A format has a fixed frame, and takes no coordinate system; ``takers`` are those that do."""
     return ConfigError(
         EXPORT_OPTION,
         "{name} has a fixed frame, and --crs is not allowed",
@@ -531,7 +545,7 @@ def grid_not_taken(*, name: str, takers: str) -> ConfigError:
 
 
 def geoid_without_grid() -> ConfigError:
-    """A geoid is of the vertical part of a coordinate system."""
+    """A geoid is given without the coordinate system that needs it."""
     return ConfigError(
         EXPORT_OPTION,
         "--geoid needs the vertical part of --crs, which is not given",
@@ -543,7 +557,7 @@ def geoid_without_grid() -> ConfigError:
 def option_out_of_range(
     *, where: str, given: float, lowest: float, highest: float, meaning: str
 ) -> ConfigError:
-    """A value of an option lies beyond its limits."""
+    """A value of an option is beyond its limits."""
     return ConfigError(
         EXPORT_OPTION,
         "{given:g} is not from {lowest:g} to {highest:g}",
@@ -557,7 +571,7 @@ def option_out_of_range(
 
 
 def pixel_size_unknown(*, where: Path | str, name: str) -> ConfigError:
-    """Files in millimetres need the size of the pixels."""
+    """A format in millimetres needs the size of the pixels, which is unknown."""
     return ConfigError(
         EXPORT_OPTION,
         "the size of the pixels of camera {name} is unknown, or they are not square",
@@ -576,7 +590,7 @@ EXPORT_POINT_HEIGHT = Code(
 
 
 def points_on_ground(*, where: str, count: int) -> Message:
-    """Object points that do not follow from their rays."""
+    """Object points were placed on the ground, because their rays do not intersect."""
     return fallback(
         EXPORT_POINT_HEIGHT,
         (
@@ -640,10 +654,13 @@ def calibration_leaves(
     count: int,
     name: str,
     percent: float,
-    left: tuple[float, float],
+    residual: tuple[float, float],
     effect: tuple[float, float],
 ) -> Message:
-    """A calibration that holds most of the refraction; left and effect in pixels and metres."""
+    """A calibration that contains most of the refraction, but not all.
+
+    ``residual``, ``effect`` : what it does not contain, and the refraction, in pixels and metres.
+    """
     return loss(
         EXPORT_RESIDUAL,
         _LEFT_BY_CALIBRATION,
@@ -651,9 +668,9 @@ def calibration_leaves(
         count=count,
         name=name,
         percent=percent,
-        left_px=left[0],
+        left_px=residual[0],
         effect_px=effect[0],
-        left_m=left[1],
+        left_m=residual[1],
         effect_m=effect[1],
     )
 
@@ -663,10 +680,10 @@ def calibration_impossible(
     where: str,
     name: str,
     percent: float,
-    left: tuple[float, float],
+    residual: tuple[float, float],
     effect: tuple[float, float],
 ) -> MissionError:
-    """No calibration holds the refraction; left and effect in pixels and metres."""
+    """No calibration contains most of the refraction; values as of `calibration_leaves`."""
     return MissionError(
         EXPORT_RESIDUAL,
         _LEFT_BY_CALIBRATION + ": no calibration can replace the correction of these images",
@@ -678,9 +695,9 @@ def calibration_impossible(
         ),
         name=name,
         percent=percent,
-        left_px=left[0],
+        left_px=residual[0],
         effect_px=effect[0],
-        left_m=left[1],
+        left_m=residual[1],
         effect_m=effect[1],
     )
 
@@ -697,7 +714,7 @@ EXPORT_ROUNDED = Code(
 
 
 def pixels_rounded(*, where: str, rounding: float) -> Message:
-    """A database keeps fewer digits than the run."""
+    """A database has fewer digits than the run; ``rounding`` is the largest error [px]."""
     return warning(
         EXPORT_ROUNDED,
         (
@@ -728,11 +745,11 @@ _MOST_ARE_LOST = (
     "observations.columns.point names the column"
 )
 
-MOST_SINGLE = 0.5  # part of the image points of which an adjustment can do without
+MOST_SINGLE = 0.5  # share of the image points; more single ones are a warning
 
 
 def single_points(*, where: str, count: int, total: int) -> Message:
-    """Points of one image, in a model of ``total`` image points."""
+    """Points were measured in one image only; the model has ``total`` image points."""
     if count > MOST_SINGLE * total:
         return warning(
             EXPORT_SINGLE,
@@ -755,7 +772,7 @@ def single_points(*, where: str, count: int, total: int) -> Message:
 
 
 def single_points_not_written(*, where: str, count: int, total: int) -> Message:
-    """Points of one image, which a format has no place for; of ``total`` image points."""
+    """Points of one image only, which are not written; the block has ``total`` image points."""
     if count > MOST_SINGLE * total:
         return warning(
             EXPORT_SINGLE,
@@ -810,7 +827,7 @@ EXPORT_RIGS = Code(
 
 
 def rigs_kept(*, where: str, count: int, frames: int) -> Message:
-    """Rigs of several cameras came with their frames."""
+    """Rigs of several cameras were copied with their frames."""
     return note(
         EXPORT_RIGS,
         "{count} rigs of several cameras are kept, with {frames}",

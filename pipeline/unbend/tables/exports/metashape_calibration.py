@@ -15,9 +15,9 @@ from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 
 
 def metashape_coefficients(camera: Camera) -> dict[str, float] | None:
-    """The coefficients of a camera by Metashape's names; None for a lens that it cannot hold.
+    """The coefficients of a camera by Metashape's names; None for a lens it does not support.
 
-    It holds Brown-Conrady, the fisheye, and what its own calibrations have beyond (k4 and b2).
+    Metashape supports Brown-Conrady, the fisheye, and its own additional k4 and b2.
 
     >>> lens = BrownConrady(p1=1e-4, p2=2e-4)
     >>> metashape_coefficients(Camera(1000, 800, 900.0, 900.0, 500.0, 400.0, lens))
@@ -39,8 +39,11 @@ def metashape_coefficients(camera: Camera) -> dict[str, float] | None:
 
 
 def _coefficients_of_general_frame(lens: GeneralFrame, fx_px: float) -> dict[str, float] | None:
-    """Those of a lens without anything but k1 to k4, px, py and skew_x."""
-    held = GeneralFrame(
+    """As `metashape_coefficients`; None for a lens with more than k1 to k4, px, py and skew_x.
+
+    b2 is in pixels: skew_x times ``fx_px``.
+    """
+    supported_part = GeneralFrame(
         k1=lens.k1,
         k2=lens.k2,
         k3=lens.k3,
@@ -51,7 +54,7 @@ def _coefficients_of_general_frame(lens: GeneralFrame, fx_px: float) -> dict[str
         limit=lens.limit,
         steps=lens.steps,
     )
-    if lens != held:
+    if lens != supported_part:
         return None
     return {
         "k1": lens.k1,
@@ -65,7 +68,7 @@ def _coefficients_of_general_frame(lens: GeneralFrame, fx_px: float) -> dict[str
 
 
 def write_metashape(camera: Camera, path: Path) -> bool:
-    """Write Metashape's XML of a camera, if Metashape can hold it; whether it was written."""
+    """Write Metashape's XML of a camera; False, without a file, for an unsupported lens."""
     coefficients = metashape_coefficients(camera)
     if coefficients is None:
         return False
@@ -92,7 +95,7 @@ def write_metashape(camera: Camera, path: Path) -> bool:
 
 
 def name_of_file(name: str) -> str:
-    """A name with underscores for what a name of a file may not have everywhere.
+    """A name as a file may have it on each system: other characters become underscores.
 
     >>> name_of_file("left/nadir 2")
     'left_nadir_2'

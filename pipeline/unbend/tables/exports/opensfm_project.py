@@ -21,7 +21,7 @@ from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.tables.exports.colmap_files import opencv_coefficients, point_ids
 from unbend.tables.exports.export_format import ExportFormat, FinishedRun, Values
 from unbend.tables.exports.export_frames import (
-    OF_COMPUTER_VISION,
+    COMPUTER_VISION_AXES,
     ExportFrame,
     PixelFrame,
     angles_of_block,
@@ -39,8 +39,12 @@ _BROWN = ("k1", "k2", "p1", "p2", "k3")
 
 
 def opensfm_camera(camera: Camera, name: str) -> dict[str, Any]:
-    """A camera as in camera_models.json: brown, or fisheye_opencv."""
-    longer = max(camera.width_px, camera.height_px)
+    """A camera as in camera_models.json: brown, or fisheye_opencv.
+
+    Refuses (MissionError EXPORT-DISTORTION) a distortion that brown does not have; ``name`` of the
+    camera is for the message.
+    """
+    longer_side_px = max(camera.width_px, camera.height_px)
     coefficients = dict.fromkeys(_BROWN, 0.0)
     if isinstance(camera.distortion, OpenCVFisheye):
         projection = "fisheye_opencv"
@@ -52,16 +56,16 @@ def opensfm_camera(camera: Camera, name: str) -> dict[str, Any]:
         "projection_type": projection,
         "width": camera.width_px,
         "height": camera.height_px,
-        "focal_x": camera.fx_px / longer,
-        "focal_y": camera.fy_px / longer,
-        "c_x": (camera.cx_px - 0.5 * camera.width_px) / longer,
-        "c_y": (camera.cy_px - 0.5 * camera.height_px) / longer,
+        "focal_x": camera.fx_px / longer_side_px,
+        "focal_y": camera.fy_px / longer_side_px,
+        "c_x": (camera.cx_px - 0.5 * camera.width_px) / longer_side_px,
+        "c_y": (camera.cy_px - 0.5 * camera.height_px) / longer_side_px,
         **coefficients,
     }
 
 
 def write_project(run: FinishedRun, _: Values, folder: Path, ledger: Ledger) -> int:
-    """The four files of a project with one reconstruction."""
+    """Write the four files of a project with one reconstruction; the number of image points."""
     block = block_of(run, ledger)
     add_counts_of_block(block, ledger)
     refuse_names(block.image, r"[\t\r\n]", "OpenSfM")
@@ -90,30 +94,31 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _write_tracks(block: ExportedBlock, ids: Integers, path: Path) -> None:
-    """The image points: image, point, place in the image, x, y, scale, colour.
+    """Write tracks.csv, a line for each image point.
 
-    And segmentation and instance, of which there is none: -1.
+    Columns: image, point, number in the image, x, y, scale, red, green, blue, and -1 for each of
+    segmentation and instance, which the run does not have. ``ids`` (p,) of the points.
     """
     with path.open("w", encoding="utf-8") as file:
         file.write("OPENSFM_TRACKS_VERSION_v2\n")
-        for i, camera, here in block.images():
+        for i, camera, image_points in block.images():
             image = block.image[i]
-            longer = max(camera.width_px, camera.height_px)
-            x = (block.x_px[here] - 0.5 * camera.width_px) / longer
-            y = (block.y_px[here] - 0.5 * camera.height_px) / longer
-            places = zip(ids[block.point[here]], x, y, strict=True)
-            ending = f"{1.0 / longer:.9f}\t128\t128\t128\t-1\t-1\n"
-            for keypoint, (point, x_point, y_point) in enumerate(places):
-                place = f"{keypoint}\t{x_point:.9f}\t{y_point:.9f}"
-                file.write(f"{image}\t{point}\t{place}\t{ending}")
+            longer_side_px = max(camera.width_px, camera.height_px)
+            x = (block.x_px[image_points] - 0.5 * camera.width_px) / longer_side_px
+            y = (block.y_px[image_points] - 0.5 * camera.height_px) / longer_side_px
+            ids_and_xy = zip(ids[block.point[image_points]], x, y, strict=True)
+            one_pixel = 1.0 / longer_side_px  # the scale
+            ending = f"{one_pixel:.9f}\t128\t128\t128\t-1\t-1\n"
+            for keypoint, (point, x_point, y_point) in enumerate(ids_and_xy):
+                file.write(f"{image}\t{point}\t{keypoint}\t{x_point:.9f}\t{y_point:.9f}\t{ending}")
 
 
 def _shots(block: ExportedBlock) -> dict[str, dict[str, Any]]:
-    """The images as a reconstruction has them, by their names."""
+    """The shots of reconstruction.json, by the names of the images."""
     cameras = [*block.cameras]
     rotation = Rotation.from_matrix(block.rotation).as_rotvec()
-    translation = block.moved_m
-    sigma_m = np.sqrt(block.frame.covariance_m2[:, 0, 0])
+    translation = block.translation_m
+    sigma_m = np.sqrt(block.frame.covariance_m2[:, 0, 0])  # to the east
     shots = {}
     for i, image in enumerate(block.image):
         shot = {
@@ -140,22 +145,26 @@ def _write_reconstruction(
     ids: Integers,
     path: Path,
 ) -> None:
-    """A list of one reconstruction, with its points behind what the ``head`` has."""
+    """Write a list of one reconstruction: the keys of ``head``, then ``points``.
+
+    ``ids`` (p,) of the points. Points are written one by one, because all at once fill the memory.
+    """
     separator = ""
     with path.open("w", encoding="utf-8") as file:
         file.write("[" + json.dumps(head)[:-1] + ', "points": {')
-        for number, place in zip(ids, block.point_m.tolist(), strict=False):
-            point = {"color": [128.0, 128.0, 128.0], "coordinates": place}
-            file.write(f'{separator}\n"{number}": {json.dumps(point)}')
+        # Ids of points without a position are at the end, and not used.
+        for point_id, position in zip(ids, block.point_m.tolist(), strict=False):
+            point = {"color": [128.0, 128.0, 128.0], "coordinates": position}
+            file.write(f'{separator}\n"{point_id}": {json.dumps(point)}')
             separator = ","
         file.write("}}]\n")
 
 
 def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
-    """East, north, up at reference_lla, rotation vectors, lengths of the image's longer side."""
+    """The frame of a project: at reference_lla, pixels in units of the image's longer side."""
     return ExportFrame(
         positions=block_positions(run.stations),
-        angles=angles_of_block("rotation_vector", OF_COMPUTER_VISION),
+        angles=angles_of_block("rotation_vector", COMPUTER_VISION_AXES),
         pixels=PixelFrame("centre of the image", ("right", "down"), "longer side of the image"),
     )
 

@@ -1,9 +1,9 @@
 """Stations for other programs: tables of omega, phi, kappa; maps as GeoJSON (RFC 7946) and KML 2.2.
 
 M = Rx(omega) Ry(phi) Rz(kappa) turns from the camera of photogrammetry (x right, y up, z backward)
-to each station's own horizon, to one frame, or to the axes of a map's grid at each station; see
-`unbend.flight.rotations`. The vertical turns 324 arcsec in 10 km: angles of the first two differ by
-that. Those in a grid differ from the first by the convergence, which is applied.
+to the horizon of each station, to one frame, or to the axes of a map's grid at each station; see
+`unbend.flight.rotations`. Angles to the horizons and to one frame differ, because the vertical
+turns 324 arcsec in 10 km. Angles to a grid differ from those to the horizon by the convergence.
 """
 
 import json
@@ -64,7 +64,10 @@ _PROPERTIES = (
 
 
 def write_at_stations(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
-    """Angles against each station's own horizon, or against the grid that is asked for."""
+    """Write angles against the horizon of each station, or against the grid of the export, as CSV.
+
+    Returns the number of rows.
+    """
     rows = placed_rows(run, ledger)
     columns_written = columns_of_stations(run, rows)
     attitude = run.stations.quaternion[rows]
@@ -75,15 +78,18 @@ def write_at_stations(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -
             check_grid_axes(in_grid.axes, crs=run.grid.identifier or "--crs", name=run.grid.name)
         )
         attitude = in_grid.quaternion
-        of_grid = grid_columns(run.grid, in_grid)
-        columns_written |= of_grid
-        names += of_grid
+        columns_in_grid = grid_columns(run.grid, in_grid)
+        columns_written |= columns_in_grid
+        names += columns_in_grid
     columns_written |= angle_columns(attitude)
     return write_station_table(run, path, columns_written, names)
 
 
 def write_in_one_frame(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
-    """Positions and angles in one frame, east, north, up at the middle of the block."""
+    """Write positions and angles in one frame, east, north, up at the block's middle, as CSV.
+
+    Returns the number of rows.
+    """
     rows = placed_rows(run, ledger)
     columns_written = columns_of_stations(run, rows)
     attitude = run.stations.quaternion[rows]
@@ -100,7 +106,7 @@ def write_in_one_frame(run: FinishedRun, _: Values, path: Path, ledger: Ledger) 
 
 
 def placed_rows(run: FinishedRun, ledger: Ledger) -> Integers:
-    """The stations with all that a table of orientations needs; the others are a loss."""
+    """(n,) the rows of the stations that `has_orientation` is true for; the others are a loss."""
     lacking = "usable position, attitude and ellipsoidal height"
     if run.grid is not None:
         lacking = f"{lacking} within the transformation to {run.grid.name}"
@@ -108,10 +114,7 @@ def placed_rows(run: FinishedRun, ledger: Ledger) -> Integers:
 
 
 def has_orientation(run: FinishedRun) -> Mask:
-    """(s,) which stations have all that a table of orientations needs.
-
-    With a grid only those that its transformation reaches.
-    """
+    """(s,) which stations have position, height and attitude, and coordinates in a given grid."""
     stations = run.stations
     has_all = can_be_placed(stations)
     if run.grid is not None:
@@ -121,13 +124,13 @@ def has_orientation(run: FinishedRun) -> Mask:
 
 
 def columns_of_stations(run: FinishedRun, rows: Integers) -> dict[str, object]:
-    """Names, times, places and sigmas of some stations."""
+    """Names, times, positions and sigmas of the stations of some rows."""
     columns = station_columns(run.stations)
     return {name: columns[name][rows] for name in (*_WORDS, *_PLACES, *_SIGMAS)}
 
 
 def angle_columns(quaternion: Array) -> dict[str, object]:
-    """Omega, phi, kappa [deg] of attitudes."""
+    """Columns of omega, phi, kappa [deg] of attitudes (n, 4)."""
     angles = np.degrees(opk_of_quaternion(quaternion))
     return dict(zip(_ANGLES, angles.T, strict=True))
 
@@ -135,7 +138,7 @@ def angle_columns(quaternion: Array) -> dict[str, object]:
 def write_station_table(
     run: FinishedRun, path: Path, columns: Mapping[str, object], names: Sequence[str]
 ) -> int:
-    """Write columns of stations as CSV, in the order of ``names``; the number of rows."""
+    """Write ``columns`` as CSV, in the order of ``names``; returns the number of rows."""
     types = dict.fromkeys(names, pa.float64())
     types |= dict.fromkeys(_WORDS, pa.string())
     types["time_utc"] = pa.timestamp("ns", "UTC")
@@ -145,23 +148,23 @@ def write_station_table(
 
 
 def frame_at_stations(run: FinishedRun, _: Values) -> ExportFrame:
-    """What a reader must know of the table: angles against each station's horizon or its grid."""
+    """The frame of `write_at_stations`."""
     if run.grid is None:
         return ExportFrame(
             positions=geographic_frame(ELLIPSOID_OF_WGS84, LATITUDE_LONGITUDE_HEIGHT),
             angles=angles_of_photogrammetry(EAST_NORTH_UP, "each station"),
         )
-    written = np.flatnonzero(has_orientation(run))
-    axes = run.grid.axes_at(run.stations.lat_rad[written], run.stations.lon_rad[written])
+    rows = np.flatnonzero(has_orientation(run))
+    axes = run.grid.axes_at(run.stations.lat_rad[rows], run.stations.lon_rad[rows])
     return ExportFrame(
         positions=grid_frame(run.grid),
         angles=grid_angles(run.grid, axes),
-        scale=scale_of_grid(axes),  # lowest and highest
+        scale=scale_of_grid(axes),
     )
 
 
 def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
-    """Positions and angles in one frame."""
+    """The frame of `write_in_one_frame`."""
     return ExportFrame(
         positions=block_positions(run.stations),
         angles=angles_of_photogrammetry(EAST_NORTH_UP, "origin"),
@@ -169,14 +172,14 @@ def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
 
 
 def frame_of_geojson(_run: FinishedRun, _: Values) -> ExportFrame:
-    """Places on WGS 84, heights above its ellipsoid."""
+    """The frame of GeoJSON: positions on WGS 84, heights above its ellipsoid."""
     return ExportFrame(
         positions=geographic_frame(ELLIPSOID_OF_WGS84), ground_heights=SEA_LEVEL_OF_RUN
     )
 
 
 def frame_of_kml(_run: FinishedRun, _: Values) -> ExportFrame:
-    """Places on WGS 84, heights above sea level: so KML defines it."""
+    """The frame of KML, which defines it: positions on WGS 84, heights above sea level."""
     return ExportFrame(positions=geographic_frame(SEA_LEVEL_OF_RUN))
 
 
@@ -190,7 +193,11 @@ def _rings(
     lacking: str,
     ledger: Ledger,
 ) -> Iterator[tuple[int, Ring]]:
-    """The stations with a place, and the footprint of each, empty where it has none."""
+    """The rows of the placed stations, each with its footprint, empty without one.
+
+    ``is_placed`` (s,) : which stations have a position. The others are added as a loss, with
+    ``lacking``, what they do not have. So are missing footprints.
+    """
     corners = footprints(run, ledger)
     for row in placed_stations(run, is_placed, lacking, ledger).tolist():
         ring: Ring = []
@@ -201,38 +208,44 @@ def _rings(
 
 
 def write_kml(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
-    """A placemark for each station with a place and one for each footprint, in two folders."""
+    """Write a KML with a placemark for each station with a position and for each footprint.
+
+    Returns the number of placemarks.
+    """
     columns = station_columns(run.stations)
     is_placed = np.isfinite(columns["lat_deg"]) & np.isfinite(columns["h_msl_m"])
-    stations = []
-    grounds = []
+    station_marks = []
+    footprint_marks = []
     for row, ring in _rings(run, is_placed, "position above sea level", ledger):
-        stations.append(_kml_station(columns, row))
+        station_marks.append(_kml_station(columns, row))
         if ring:
-            grounds.append(_kml_footprint(columns["image"][row], ring))
+            footprint_marks.append(_kml_footprint(columns["image"][row], ring))
     lines = [
         '<?xml version="1.0" encoding="utf-8"?>',
         '<kml xmlns="http://www.opengis.net/kml/2.2"><Document>' + _text("name", run.mission),
-        *_kml_folder("stations", stations),
-        *_kml_folder("footprints", grounds),
+        *_kml_folder("stations", station_marks),
+        *_kml_folder("footprints", footprint_marks),
         "</Document></kml>\n",
     ]
     path.write_text("\n".join(lines), encoding="utf-8")
-    return len(stations) + len(grounds)
+    return len(station_marks) + len(footprint_marks)
 
 
 def _kml_folder(name: str, marks: Sequence[str]) -> list[str]:
-    """The lines of a folder of placemarks."""
+    """The lines of a folder of placemarks; ``marks`` are their contents."""
     placemarks = [f"<Placemark>{mark}</Placemark>" for mark in marks]
     return [f"<Folder><name>{name}</name>", *placemarks, "</Folder>"]
 
 
 def _kml_station(columns: Mapping[str, Any], row: int) -> str:
-    """What a station's placemark holds: name, description, time, and the place above sea level."""
+    """The content of a station's placemark: name, description, time, position above sea level.
+
+    ``columns`` are those of `station_columns`.
+    """
     lon, lat, h = (float(columns[name][row]) for name in ("lon_deg", "lat_deg", "h_msl_m"))
-    words = [columns[name][row] for name in ("camera", "status", "suspect_reason")]
+    descriptions = [columns[name][row] for name in ("camera", "status", "suspect_reason")]
     text = _text("name", columns["image"][row])
-    text += _text("description", ", ".join(word for word in words if word))
+    text += _text("description", ", ".join(part for part in descriptions if part))
     time = columns["time_utc"][row]
     if not np.isnat(time):
         when = np.datetime_as_string(time, unit="ms")
@@ -243,21 +256,24 @@ def _kml_station(columns: Mapping[str, Any], row: int) -> str:
 
 
 def _kml_footprint(image: str, ring: Ring) -> str:
-    """What a footprint's placemark holds."""
-    places = " ".join(f"{lon!r},{lat!r}" for lon, lat in ring)
-    boundary = f"<LinearRing>{_text('coordinates', places)}</LinearRing>"
+    """The content of a footprint's placemark."""
+    coordinates = " ".join(f"{lon!r},{lat!r}" for lon, lat in ring)
+    boundary = f"<LinearRing>{_text('coordinates', coordinates)}</LinearRing>"
     polygon = f"<Polygon><outerBoundaryIs>{boundary}</outerBoundaryIs></Polygon>"
     return _text("name", image) + polygon
 
 
 def _text(tag: str, text: str) -> str:
-    """An element with a text; XML has no control characters, not even escaped."""
+    """An XML element with a text; control characters, which XML forbids, become U+FFFD."""
     clean = "".join(c if c >= " " or c in "\t\n" else "\ufffd" for c in text)
     return f"<{tag}>{escape(clean)}</{tag}>"
 
 
 def write_geojson(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
-    """A point for each station with a position, and a polygon for each footprint."""
+    """Write a GeoJSON with a point for each placed station and a polygon for each footprint.
+
+    Returns the number of features.
+    """
     columns = station_columns(run.stations)
     is_placed = np.isfinite(columns["lat_deg"])
     features = []
@@ -279,7 +295,10 @@ def write_geojson(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> in
 
 
 def _geojson_station(columns: Mapping[str, Any], row: int) -> dict[str, Any]:
-    """A point with the properties of a station, unknown ones null; without height if unknown."""
+    """The feature of a station: a point, without height if that is unknown, and properties.
+
+    Unknown properties are null. ``columns`` are those of `station_columns`.
+    """
     properties = {}
     for name in _PROPERTIES:
         value = columns[name][row]
@@ -288,11 +307,11 @@ def _geojson_station(columns: Mapping[str, Any], row: int) -> dict[str, Any]:
     time = columns["time_utc"][row]
     properties["time_utc"] = None if np.isnat(time) else f"{time}Z"
     properties["kind"] = "station"
-    place = [columns["lon_deg"][row], columns["lat_deg"][row]]
+    position = [columns["lon_deg"][row], columns["lat_deg"][row]]
     height = columns["h_ellipsoid_m"][row]
     if not np.isnan(height):
-        place.append(height)
-    return _feature({"type": "Point", "coordinates": place}, properties)
+        position.append(height)
+    return _feature({"type": "Point", "coordinates": position}, properties)
 
 
 def _feature(geometry: dict[str, Any], properties: dict[str, Any]) -> dict[str, Any]:

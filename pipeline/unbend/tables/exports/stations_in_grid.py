@@ -1,7 +1,7 @@
 """Stations in the grid of a map: coordinates, attitudes against its axes, convergence and scale.
 
-The vertical of each station stays its own, as in a map it must: x and y are the axes of the grid
-there, which the convergence turns against east and north.
+Attitudes are relative to the vertical of each station, and to the grid's x and y there, which the
+convergence turns against east and north.
 """
 
 from dataclasses import dataclass, replace
@@ -19,8 +19,9 @@ from unbend.units import Array, Integers
 class StationsInGrid:
     """Stations (n,) in the grid of a map.
 
-    ``x``, ``y`` in the unit of the grid, ``height`` in that of its heights. ``quaternion`` (n, 4)
-    as of stations, against the axes of the grid and up.
+    ``x``, ``y`` : in the unit of the grid; ``height`` : in the unit of its heights. ``quaternion``
+    (n, 4) : as of `Stations`, but from the axes of the grid at each station, x, y, up. ``axes`` :
+    how these axes are directed.
     """
 
     x: Array
@@ -31,19 +32,19 @@ class StationsInGrid:
 
 
 def stations_in_grid(stations: Stations, rows: Integers, grid: MapGrid) -> StationsInGrid:
-    """Some stations in a grid, all with a position that its transformation reaches."""
+    """The stations of some rows in a grid; all have coordinates there."""
     lat = stations.lat_rad[rows]
     lon = stations.lon_rad[rows]
     x, y = grid.coordinates(lat, lon)
     height = grid.height.heights(lat, lon, stations.h_msl_m[rows], stations.h_ellipsoid_m[rows])
     axes = grid.axes_at(lat, lon)
     to_enu = enu_from_grid(axes.convergence_rad)
-    turned = in_turned_frame(stations.quaternion[rows], to_enu)
-    return StationsInGrid(x, y, height, turned, axes)
+    quaternion = in_turned_frame(stations.quaternion[rows], to_enu)
+    return StationsInGrid(x, y, height, quaternion, axes)
 
 
 def grid_columns(grid: MapGrid, stations: StationsInGrid) -> dict[str, Array]:
-    """Columns of coordinates, convergence and scale, with their units in their names."""
+    """Columns of coordinates, convergence and scale; their names end in the unit."""
     return place_columns(grid, stations.x, stations.y, stations.height) | {
         "convergence_deg": np.degrees(stations.axes.convergence_rad),
         "scale_factor": stations.axes.scale,
@@ -51,7 +52,7 @@ def grid_columns(grid: MapGrid, stations: StationsInGrid) -> dict[str, Array]:
 
 
 def place_columns(grid: MapGrid, x: Array, y: Array, height: Array) -> dict[str, Array]:
-    """Columns of coordinates, with their units in their names."""
+    """Columns of coordinates (n,) in a grid; their names end in the unit."""
     first, second = ("lon", "lat") if grid.is_geographic else ("x", "y")
     third = "depth" if grid.height.is_down else "z"
     return {
@@ -62,7 +63,7 @@ def place_columns(grid: MapGrid, x: Array, y: Array, height: Array) -> dict[str,
 
 
 def grid_angles(grid: MapGrid, axes: GridAxes) -> AngleFrame:
-    """What omega, phi, kappa against a grid mean; ``axes`` are those of the grid at stations."""
+    """The meaning of omega, phi, kappa against a grid; ``axes`` are those at the stations."""
     convergence = None
     if axes.convergence_rad.size:
         degrees = np.degrees(axes.convergence_rad)

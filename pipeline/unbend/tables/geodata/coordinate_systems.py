@@ -1,13 +1,11 @@
-"""Positions in a stated coordinate system, brought to WGS 84, by pyproj.
+"""Positions in a stated coordinate system, transformed to WGS 84 by pyproj.
 
-Horizontally by PROJ without ballpark transformations. Heights stay what they are, by the name of
-their datum: PROJ returns them unchanged, and says nothing, where it lacks a grid.
+PROJ transforms horizontally, without ballpark transformations. It does not transform heights: where
+it lacks a grid, it returns them unchanged without an error. The name of their datum decides.
 """
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,17 +20,17 @@ from unbend.units import WGS84_A, Array, Mask, measured
 if TYPE_CHECKING:
     from pyproj import CRS, Transformer
 
-_GOOD_M = 1.0  # a transformation that is no better than this is a warning
-MARGIN_DEG = 2.0  # so far outside its area of use a coordinate system is still meant
-SEA_LEVELS = ("EGM96 height", "MSL height")  # vertical datums that are mean sea level here
+_GOOD_M = 1.0  # a transformation with a worse accuracy is a warning
+MARGIN_DEG = 2.0  # positions may be so far outside the area of use of a coordinate system
+SEA_LEVELS = ("EGM96 height", "MSL height")  # names of vertical datums that are mean sea level here
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
     """(n,) latitude, longitude [rad] on WGS 84 and height [m] of positions; NaN where unknown.
 
-    ``heights`` says what they count from: msl, ellipsoid, or as stated. ``convergence_rad`` is the
-    azimuth of grid north, 0 where the positions were geographic.
+    ``heights`` is what the heights count from: msl, ellipsoid or relative. ``convergence_rad`` (n,)
+    is the azimuth of grid north, 0 for geographic positions.
     """
 
     lat_rad: Array
@@ -53,22 +51,23 @@ def places_of(
 ) -> tuple[Places, Notes]:
     """Positions on WGS 84 of (n,) x, y and heights in a coordinate system.
 
-    ``crs`` as PROJ knows it, EPSG:25832 or EPSG:25832+7837. ``xyh`` : x to the east and y to the
-    north in its unit, or longitude and latitude [deg], whatever the order of its axes; heights [m],
-    or in the unit of its vertical part, and ``heights`` what these count from, as stated: msl,
-    ellipsoid or relative. ``geoid`` is the user's grid that belongs to the vertical part, where
-    that is no mean sea level; ``where``, ``key`` are the file, and the mission file's key.
+    ``crs`` : as PROJ knows it, EPSG:25832 or EPSG:25832+7837. ``xyh`` : x to the east and y to the
+    north in its unit, or longitude and latitude [deg], for any order of its axes; heights [m], or
+    in the unit of its vertical part. ``heights`` : what these count from, as stated: msl, ellipsoid
+    or relative. ``geoid`` : the user's grid of the vertical datum, needed if that is not mean sea
+    level. ``where``, ``key`` : the file, and the key of the mission file, for messages.
 
-    Refuses (InputError) what is no such system (CRS-UNKNOWN), one that has only a ballpark
+    Refuses (InputError) a ``crs`` that is not such a system (CRS-UNKNOWN), or has only a ballpark
     transformation (CRS-BALLPARK), positions outside its area (CRS-AREA), and a vertical part that
     contradicts ``heights`` or needs a grid (CRS-VERTICAL). A transformation worse than 1 m is a
     warning (CRS-DATUM), which names the grid that would make it better.
     """
-    horizontal, vertical = _system(crs, heights, where, key)
+    horizontal, vertical = horizontal_and_vertical(crs, heights, where, key)
     x, y, h = xyh
-    lon_lat, notes = _inside(_own_places(horizontal, x, y), horizontal, where, key, (x, y))
-    is_known = np.isfinite(lon_lat).all(axis=0)
-    best, by, is_good = to_wgs84(horizontal, lon_lat[:, is_known], where, key)
+    lon_lat = in_own_datum(horizontal, x, y)
+    lon_lat, notes = _nan_outside_area(lon_lat, horizontal, where, key, (x, y))
+    is_known = np.asarray(np.isfinite(lon_lat).all(axis=0))
+    operation = to_wgs84(horizontal, lon_lat[:, is_known], where, key)
     count = int(is_known.sum())
     note = messages.positions_on_wgs84(
         where=where,
@@ -76,25 +75,20 @@ def places_of(
         count=count,
         system=horizontal.name,
         crs=crs,
-        operation=by,
-        is_good=is_good,
+        operation=operation.description,
+        is_good=operation.is_good,
     )
     notes.append(note)
-    x_or_nan = np.where(is_known, x, np.nan)
-    lon, lat = np.radians(np.array(best.transform(x_or_nan, y, errcheck=False)))
-    is_known &= np.isfinite(lat)  # not beyond the grid of the transformation
-    lat[~is_known] = np.nan
-    lon[~is_known] = np.nan
-    beyond = count - int(is_known.sum())
-    if beyond > 0:
-        notes.append(
-            messages.positions_beyond_grid(where=where, key=key, count=beyond, operation=by)
+    lat, lon = _transformed(operation.transformer, x, y, is_known)
+    is_known = np.isfinite(lat)  # without those beyond the grid of the transformation
+    if is_known.sum() < count:
+        note = messages.positions_beyond_grid(
+            where=where,
+            key=key,
+            count=count - int(is_known.sum()),
+            operation=operation.description,
         )
-    convergence = np.zeros(lat.size)
-    if horizontal.is_projected:
-        known_places = lon_lat[:, is_known]
-        _, _, known_convergence = grid_coordinates(horizontal.to_string(), *known_places)
-        convergence[is_known] = known_convergence
+        notes.append(note)
     if vertical is not None:
         h = _metres_upwards(vertical, h)
         if vertical.name not in SEA_LEVELS:
@@ -116,7 +110,39 @@ def places_of(
             )
             notes.append(note)
             heights = "ellipsoid"
-    return Places(lat, lon, h, heights, convergence), tuple(notes)
+    places = Places(
+        lat_rad=lat,
+        lon_rad=lon,
+        h_m=h,
+        heights=heights,
+        convergence_rad=_convergence(horizontal, lon_lat, is_known),
+    )
+    return places, tuple(notes)
+
+
+def _transformed(
+    transformer: "Transformer", x: Array, y: Array, is_known: Mask
+) -> tuple[Array, Array]:
+    """(n,) latitude and longitude [rad] of x and y; NaN if not ``is_known``, or without a value."""
+    known_x = np.where(is_known, x, np.nan)
+    lon, lat = np.radians(np.array(transformer.transform(known_x, y, errcheck=False)))
+    has_no_value = ~(is_known & np.isfinite(lat))
+    lat[has_no_value] = np.nan
+    lon[has_no_value] = np.nan
+    return lat, lon
+
+
+def _convergence(horizontal: "CRS", lon_lat_deg: Array, is_known: Mask) -> Array:
+    """(n,) azimuth of grid north [rad] at (2, n) places; 0 in a geographic system, or if unknown.
+
+    ``is_known`` (n,) : the places at which it is computed.
+    """
+    convergence_rad = np.zeros(is_known.size)
+    if horizontal.is_projected:
+        lon_deg, lat_deg = lon_lat_deg[:, is_known]
+        _, _, known_rad = grid_coordinates(horizontal.to_string(), lon_deg, lat_deg)
+        convergence_rad[is_known] = known_rad
+    return convergence_rad
 
 
 def _above_ellipsoid(
@@ -129,12 +155,13 @@ def _above_ellipsoid(
     where: str,
     key: str,
 ) -> tuple[Array, Message]:
-    """Heights [m] above the ellipsoid of those in a vertical datum, by the grid that belongs to it.
+    """(n,) heights [m] above the ellipsoid, and a note, of heights ``h_m`` in a vertical datum.
 
-    Refuses (CRS-VERTICAL) a grid that lies elsewhere than any geoid.
+    ``geoid`` : the grid of the datum. ``lat_lon`` : (n,) places [rad]. ``count`` : of known
+    positions, for the note. Refuses (CRS-VERTICAL) a grid too far from EGM96 for any datum.
     """
     undulation = geoid.undulation(*lat_lon)
-    off_m = _off_from_package(undulation, *lat_lon)
+    off_m = _median_difference_from_egm96(undulation, *lat_lon)
     if abs(off_m) > LARGEST_GEOID_M:
         raise messages.crs_vertical_other_grid(
             where=where,
@@ -155,21 +182,21 @@ def _above_ellipsoid(
 
 
 def _metres_upwards(vertical: "CRS", h: Array) -> Array:
-    """Heights [m] of numbers in the unit and the direction of a vertical system."""
+    """Heights [m], positive upwards, of numbers in the unit and direction of a vertical system."""
     axis = vertical.axis_info[0]
     h = h * axis.unit_conversion_factor
     return -h if axis.direction == "down" else h
 
 
-def _off_from_package(undulation: Array, lat_rad: Array, lon_rad: Array) -> float:
-    """How far undulations [m] are from EGM96 in the median, 0 where none is known."""
-    off = undulation - package_geoid().undulation(lat_rad, lon_rad)
-    known_off = off[np.isfinite(off)]
-    return float(np.median(known_off)) if known_off.size else 0.0
+def _median_difference_from_egm96(undulation: Array, lat_rad: Array, lon_rad: Array) -> float:
+    """Median of (n,) undulations [m] less those of EGM96; 0 if all are NaN."""
+    difference_m = undulation - package_geoid().undulation(lat_rad, lon_rad)
+    known_m = difference_m[np.isfinite(difference_m)]
+    return float(np.median(known_m)) if known_m.size else 0.0
 
 
-def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
-    """(2, n) longitude and latitude [deg, from Greenwich] in a system's own datum."""
+def in_own_datum(horizontal: Any, x: Array, y: Array) -> Array:
+    """(2, n) longitude and latitude [deg, from Greenwich] in the datum of a system, of its x, y."""
     from pyproj import Transformer
 
     geodetic = horizontal.geodetic_crs
@@ -183,23 +210,24 @@ def _own_places(horizontal: Any, x: Array, y: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BestOperation:
-    """The best transformation between two systems that PROJ can do here.
+    """The best transformation between two systems that PROJ can do with its installed grids.
 
-    ``transformer`` is PROJ's; ``by`` says in words what it is; ``is_good`` whether it is known to
-    be good to 1 m.
+    ``description`` : in words, with its accuracy, and the grid that a better one needs.
+    ``is_good`` : its known accuracy is 1 m or better.
     """
 
     transformer: "Transformer"
-    by: str
+    description: str
     is_good: bool
 
 
 def best_operation(
     source: "CRS | str", lon_lat: Array, target: "CRS | str"
 ) -> BestOperation | None:
-    """The transformation that is best about (2, n) places, with the grids that are here.
+    """The best transformation from ``source`` to ``target`` in the extent of (2, n) places [deg].
 
-    No other takes its place where its grid ends. None where PROJ has only a ballpark one.
+    ``lon_lat`` : longitudes and latitudes. The transformation gives no values beyond its grid: no
+    other replaces it there. None if PROJ has only a ballpark transformation.
     """
     from pyproj.aoi import AreaOfInterest
     from pyproj.network import set_network_enabled
@@ -208,7 +236,7 @@ def best_operation(
     set_network_enabled(False)  # whatever PROJ_NETWORK and proj.ini say
     corners = (*lon_lat.min(axis=1).tolist(), *lon_lat.max(axis=1).tolist())
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # the words say it
+        warnings.simplefilter("ignore", UserWarning)  # a missing grid: it is in the description
         group = TransformerGroup(
             source,
             target,
@@ -219,29 +247,33 @@ def best_operation(
     if not group.transformers:
         return None
     best = group.transformers[0]
-    by = f"{best.description or 'an unnamed operation'}"
-    by += f", to {best.accuracy:g} m" if best.accuracy >= 0.0 else ", of unknown accuracy"
+    has_accuracy = best.accuracy >= 0.0  # PROJ has -1 for an unknown accuracy
+    description = f"{best.description or 'an unnamed operation'}"
+    description += f", to {best.accuracy:g} m" if has_accuracy else ", of unknown accuracy"
     if not group.best_available and group.unavailable_operations:
-        missing = group.unavailable_operations[0]
-        grids = ", ".join(grid.short_name for grid in missing.grids)
-        by += f"; {missing.name} to {missing.accuracy:g} m needs {grids} in PROJ's folder"
-    return BestOperation(best, by, 0.0 <= best.accuracy <= _GOOD_M)
+        better = group.unavailable_operations[0]
+        grids = ", ".join(grid.short_name for grid in better.grids)
+        description += f"; {better.name} to {better.accuracy:g} m needs {grids} in PROJ's folder"
+    return BestOperation(best, description, is_good=0.0 <= best.accuracy <= _GOOD_M)
 
 
 def to_wgs84(
-    horizontal: Any, lon_lat: Array, where: str, key: str, *, target: str = "EPSG:4326"
-) -> tuple[Any, str, bool]:
-    """The best transformation to WGS 84 about (2, n) places, what it is, and whether to 1 m."""
+    horizontal: "CRS", lon_lat: Array, where: str, key: str, *, target: str = "EPSG:4326"
+) -> BestOperation:
+    """The best transformation to WGS 84 in the extent of (2, n) longitudes and latitudes [deg].
+
+    ``target`` is WGS 84 with or without heights. Refuses (CRS-BALLPARK) a system that has none.
+    """
     best = best_operation(horizontal, lon_lat, target)
     if best is None:
         raise messages.crs_ballpark(where=where, name=horizontal.name, named=key)
-    return best.transformer, best.by, best.is_good
+    return best
 
 
 def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, Array, Array]:
-    """x, y [m] and the azimuth of grid north [rad] of (n,) places, without a shift of datum.
+    """x, y [m] and the azimuth of grid north [rad] of (n,) places in the datum of ``crs``.
 
-    NaN where the projection does not reach; ValueError where PROJ knows no such projection.
+    NaN where the projection does not reach; ValueError if PROJ does not know it.
     """
     from pyproj import CRS, Proj
     from pyproj.exceptions import ProjError
@@ -252,7 +284,7 @@ def grid_coordinates(crs: str, lon_deg: Array, lat_deg: Array) -> tuple[Array, A
     except ProjError as error:
         raise ValueError(str(error)) from None
     x, y = projection(lon_deg, lat_deg)
-    # Places count from Greenwich in the projection, and from its own meridian in the factors.
+    # Longitudes count from Greenwich in the projection, from its prime meridian in get_factors.
     factors = projection.get_factors(lon_deg - meridian_deg, lat_deg)
     convergence_deg = np.asarray(factors.meridian_convergence)
     x = measured(np.asarray(x))
@@ -267,7 +299,7 @@ def prime_meridian_deg(system: Any) -> float:
 
 
 def kind_of_system(crs: str) -> str | None:
-    """Whether a system of PROJ's is geographic, projected or ecef; None for another, or none.
+    """The kind of a system: geographic, projected or ecef; None for others, or if PROJ has none.
 
     >>> kind_of_system("EPSG:32632"), kind_of_system("WGS84"), kind_of_system("EPSG:4978")
     ('projected', 'geographic', 'ecef')
@@ -298,10 +330,10 @@ def name_of_system(crs: str) -> str:
 
 
 def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:
-    """(n,) latitudes and longitudes on WGS 84 [rad] of x and y in a system, or lon and lat [deg].
+    """(n,) latitudes and longitudes on WGS 84 [rad] of (n,) x and y in a system.
 
-    To some metres, for comparisons; NaN where the system does not reach, None where PROJ does not
-    know it.
+    x and y are longitude and latitude [deg] in a geographic system. Accurate to some metres, for
+    comparisons. NaN where the system does not reach; None if PROJ does not know it.
     """
     from pyproj import CRS, Transformer
     from pyproj.exceptions import CRSError, ProjError
@@ -317,62 +349,8 @@ def lat_lon_of(crs: str, x: Array, y: Array) -> tuple[Array, Array] | None:
     return lat_rad, lon_rad
 
 
-@dataclass(frozen=True)
-class GridSystem:
-    """The coordinate system of a grid.
-
-    ``to_grid`` makes x, y (longitude, latitude [deg]) of longitude and latitude on WGS 84 [deg],
-    ``to_places`` the reverse; ``by`` says how, ``is_good`` whether to 1 m. ``vertical`` names its
-    vertical datum, "" without one, whose unit is ``unit_m``.
-    """
-
-    name: str
-    geographic: bool
-    to_grid: Callable[[Array, Array], tuple[Array, Array]]
-    to_places: Callable[[Array, Array], tuple[Array, Array]]
-    by: str
-    is_good: bool
-    vertical: str = ""
-    is_sea_level: bool = True
-    unit_m: float = 1.0
-
-
-def grid_system(
-    own: str, stated: str | None, *, corners: Array, heights: str, where: str, key: str
-) -> GridSystem:
-    """The system of a grid by its own words, WKT or EPSG, which must be the stated one.
-
-    ``corners`` (2, n) are x and y of its corners. Refuses (InputError) as `places_of` does, and two
-    systems that differ (DEM-CRS).
-    """
-    horizontal, vertical = _system(own, heights, where, key)
-    other, of_other = _system(stated or own, heights, where, key)
-    vertical = vertical or of_other
-    if not horizontal.equals(other, ignore_axis_order=True):
-        raise messages.dem_crs_stated(where=where, own=horizontal.name, other=other.name, named=key)
-    places = _own_places(horizontal, *corners)
-    is_known = np.isfinite(places).all(axis=0)
-    best, by, is_good = to_wgs84(horizontal, places[:, is_known], where, key)
-    system = GridSystem(
-        name=horizontal.name,
-        geographic=horizontal.is_geographic,
-        to_grid=partial(best.transform, direction="INVERSE"),
-        to_places=best.transform,
-        by=by,
-        is_good=is_good,
-    )
-    if vertical is None:
-        return system
-    return replace(
-        system,
-        vertical=vertical.name,
-        is_sea_level=vertical.name in SEA_LEVELS,
-        unit_m=vertical.axis_info[0].unit_conversion_factor,
-    )
-
-
 def is_on_wgs84(crs: str) -> bool:
-    """Whether PROJ knows the system, as WKT or EPSG, on the ellipsoid of WGS 84 or GRS 80.
+    """Whether PROJ knows a system, WKT or EPSG, and its ellipsoid is that of WGS 84 or GRS 80.
 
     >>> is_on_wgs84("EPSG:25832"), is_on_wgs84("EPSG:27561"), is_on_wgs84("LOCAL_CS[...]")
     (True, False, False)
@@ -387,10 +365,12 @@ def is_on_wgs84(crs: str) -> bool:
     return ellipsoid is not None and abs(ellipsoid.semi_major_metre - WGS84_A) < 1.0
 
 
-def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
-    """The horizontal part, two-dimensional, and the vertical part or None; refuses no system.
+def horizontal_and_vertical(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
+    """The horizontal part of a system, two-dimensional, and its vertical part, None without one.
 
-    And heights that are not above what the system says, or above an ellipsoid of a past survey.
+    ``heights`` : what heights count from, as stated. Refuses what is not a system of positions
+    (CRS-UNKNOWN), and, both CRS-VERTICAL, stated heights that contradict the system, and heights
+    above another ellipsoid than that of WGS 84.
     """
     from pyproj import CRS
     from pyproj.exceptions import CRSError
@@ -398,19 +378,20 @@ def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
     try:
         whole = CRS.from_user_input(crs)
         horizontal, *vertical = whole.sub_crs_list if whole.is_compound else [whole]
-        if not (horizontal.is_projected or horizontal.is_geographic) or horizontal.is_geocentric:
+        has_positions = horizontal.is_projected or horizontal.is_geographic
+        if not has_positions or horizontal.is_geocentric:
             raise CRSError(f"{whole.name} is a {whole.type_name}")
     except CRSError as error:
         raise messages.crs_unknown(where=where, crs=crs, error=str(error), named=key) from None
     ellipsoid = horizontal.ellipsoid
-    of_system = heights
+    heights_of_system = heights
     if vertical:
-        of_system = "msl"
+        heights_of_system = "msl"
     elif len(whole.axis_info) == 3:
-        of_system = "ellipsoid"
-    if of_system != heights:
+        heights_of_system = "ellipsoid"
+    if heights_of_system != heights:
         raise messages.crs_vertical_stated(
-            where=where, named=key, name=whole.name, these=of_system, heights=heights
+            where=where, named=key, name=whole.name, these=heights_of_system, heights=heights
         )
     if heights == "ellipsoid" and abs(ellipsoid.semi_major_metre - WGS84_A) > 1.0:
         raise messages.crs_vertical_ellipsoid(
@@ -420,9 +401,9 @@ def _system(crs: str, heights: str, where: str, key: str) -> tuple[Any, Any]:
 
 
 def is_in_area(system: "CRS", lon_lat: Array, margin_deg: float) -> Mask:
-    """(n,) whether (2, n) longitudes and latitudes [deg] are in a system's area of use.
+    """(n,) which of (2, n) longitudes and latitudes [deg] are in a system's area of use.
 
-    A margin around the area counts too. All places are, of a system that states no area.
+    The area is extended by a margin on each side. A system without a stated area contains all.
     """
     area = system.area_of_use
     if area is None:
@@ -439,26 +420,30 @@ def is_in_area(system: "CRS", lon_lat: Array, margin_deg: float) -> Mask:
     return np.asarray(is_inside)
 
 
-def _inside(
-    lon_lat: Array, horizontal: Any, where: str, key: str, given: tuple[Array, Array]
+def _nan_outside_area(
+    lon_lat: Array, horizontal: Any, where: str, key: str, xy: tuple[Array, Array]
 ) -> tuple[Array, list[Message]]:
-    """(2, n) places with NaN outside the system's area of use; refuses where most are outside."""
+    """(2, n) longitudes and latitudes [deg], NaN outside the system's area of use; and notes.
+
+    ``xy`` : the same positions in the system, NaN for those without. Some positions outside are a
+    loss. Refuses (CRS-AREA) if half of them or more are outside, or there are no positions.
+    """
     area = horizontal.area_of_use
     area_name = area.name if area else "the earth"
-    is_given = np.isfinite(given).all(axis=0)
-    if not is_given.any():
+    has_xy = np.isfinite(xy).all(axis=0)
+    if not has_xy.any():
         raise messages.positions_none(where=where, key=key)
     lon_lat = np.where(np.isfinite(lon_lat), lon_lat, np.nan)
-    is_place = np.isfinite(lon_lat).all(axis=0)
-    is_inside = is_place & is_in_area(horizontal, lon_lat, MARGIN_DEG)
-    is_outside = is_given & ~is_inside
+    has_lon_lat = np.isfinite(lon_lat).all(axis=0)
+    is_inside = has_lon_lat & is_in_area(horizontal, lon_lat, MARGIN_DEG)
+    is_outside = has_xy & ~is_inside
     count = int(is_outside.sum())
     if count == 0:
         return lon_lat, []
-    total = int(is_given.sum())
+    total = int(has_xy.sum())
     first = int(np.argmax(is_outside))
-    x = float(given[0][first])
-    y = float(given[1][first])
+    x = float(xy[0][first])
+    y = float(xy[1][first])
     if 2 * count >= total:
         raise messages.positions_outside(
             where=where,

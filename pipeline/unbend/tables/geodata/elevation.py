@@ -1,4 +1,4 @@
-"""Digital elevation models, in one raster or several, read tile by tile as rays come to them."""
+"""Digital elevation models, in one raster or several, read tile by tile as rays need them."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from unbend.messages import Notes
 from unbend.refraction.kernels.columns import BLOCK, TILE, TerrainGrid
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.coordinate_systems import GridSystem, grid_system
 from unbend.tables.geodata.gdal import (
     GDAL_OPTIONS,
-    NAME_OTHERS,
+    INDEX_FORMATS,
     is_upright,
     may_unpack,
     opening_rasters,
 )
+from unbend.tables.geodata.raster_system import RasterSystem, raster_system
 from unbend.units import Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100  # of 1 MB
-_LOWEST_M = -600.0  # numbers below are no heights: holes that a file does not declare
-_HIGHEST_M = 9_000.0  # and numbers above
+_LOWEST_M = -600.0  # numbers down from here are holes that a file does not declare
+_HIGHEST_M = 9_000.0  # and so are numbers up from here
 _US_SURVEY_FOOT_M = 1200.0 / 3937.0
-_METRES = {
+_METRES_OF_UNIT = {
     "m": 1.0,
     "metre": 1.0,
     "meter": 1.0,
@@ -38,21 +38,21 @@ _METRES = {
     "us-ft": _US_SURVEY_FOOT_M,
     "us-survey-foot": _US_SURVEY_FOOT_M,
 }
-_APART = 0.01  # so far nodes of rasters of one model may lie beside each other, in cells
-_UNDULATIONS_A_TILE = 9  # along each side: at every 64th node; between a geoid is even to 1 mm
+_LARGEST_OFFSET = 0.01  # in cells, of the nodes of a raster from the grid of the model
+_UNDULATION_STEP = 64  # nodes between undulations; a geoid is linear to 1 mm over them
 
 
 class ElevationModel:
-    """Rasters on one grid as a `Terrain`; ``lock`` is held while tiles are read and used.
+    """Rasters on one grid, as a `Terrain` of heights above sea level.
 
-    ``undulation`` of latitude and longitude [rad] is what their heights lie above sea level too
-    much, None where they are above sea level.
+    ``undulation`` of latitude and longitude [rad] is subtracted from the heights of the rasters
+    [m]; None if these are above sea level. ``lock`` must be held while tiles are loaded and used.
     """
 
     def __init__(
         self,
         rasters: "Sequence[_Raster]",
-        system: GridSystem,
+        system: RasterSystem,
         undulation: Callable[[Array, Array], Array] | None,
     ) -> None:
         self._rasters = rasters
@@ -60,38 +60,40 @@ class ElevationModel:
         self._undulation = undulation
         self.lock = threading.RLock()
         self._projecting = threading.Lock()
-        # In nodes from the north-west corner of all.
         self._west = min(raster.west for raster in rasters)
         self._north = max(raster.north for raster in rasters)
         self._step_x = rasters[0].step_x
         self._step_y = rasters[0].step_y
-        self._places = [self._place_of(raster) for raster in rasters]
+        self._first_nodes = [self._first_node_of(raster) for raster in rasters]
         rows = 0
         columns = 0
-        for raster, (top, left) in zip(rasters, self._places, strict=True):
+        for raster, (top, left) in zip(rasters, self._first_nodes, strict=True):
             rows = max(rows, top + raster.rows)
             columns = max(columns, left + raster.columns)
         self.size = (rows, columns)
         around = 0
-        if system.geographic and columns * self._step_x > 180.0:
+        if system.is_geographic and columns * self._step_x > 180.0:
             around = round(360.0 / self._step_x)
         self.grid = _empty_grid(rows, columns, around)
-        self._held: dict[int, int] = {}  # tile -> slot, the longest there first
+        self._slot_of_tile: dict[int, int] = {}  # of tiles in memory, the first loaded first
 
-    def _place_of(self, raster: "_Raster") -> tuple[int, int]:
-        """Row and column of a raster's first node; refuses (DEM-TILES) one on another grid."""
+    def _first_node_of(self, raster: "_Raster") -> tuple[int, int]:
+        """Row and column in the model, from its north-west corner, of a raster's first node.
+
+        Refuses (DEM-TILES) a raster on another grid than the first one.
+        """
         row = (self._north - raster.north) / self._step_y
         column = (raster.west - self._west) / self._step_x
-        off = max(
+        offset = max(
             abs(row - round(row)),
             abs(column - round(column)),
             raster.columns * abs(raster.step_x / self._step_x - 1.0),
             raster.rows * abs(raster.step_y / self._step_y - 1.0),
         )
-        if off > _APART:
+        if offset > _LARGEST_OFFSET:
             raise messages.dem_tiles(
                 where=raster.path,
-                off=off,
+                off=offset,
                 first=self._rasters[0].path.name,
                 step=(raster.step_x, raster.step_y),
                 first_step=(self._step_x, self._step_y),
@@ -99,10 +101,14 @@ class ElevationModel:
         return round(row), round(column)
 
     def nodes(self, lat_rad: Array, lon_rad: Array) -> tuple[Array, Array]:
-        """Row and column of places on WGS 84 [rad], in nodes, which are centres of cells."""
+        """Row and column of (n,) places on WGS 84, in nodes with fractions; 0, 0 is the first node.
+
+        Nodes are centres of cells.
+        """
         with self._projecting:
             x, y = self._system.to_grid(np.degrees(lon_rad), np.degrees(lat_rad))
-        if self._system.geographic:
+        if self._system.is_geographic:
+            # Longitudes within half a turn of the middle of the model.
             _, columns = self.size
             middle = self._west + 0.5 * columns * self._step_x
             x = middle + (x - middle + 180.0) % 360.0 - 180.0
@@ -111,12 +117,12 @@ class ElevationModel:
         return row, column
 
     def covers(self, lat_rad: Array, lon_rad: Array) -> Mask:
-        """(n,) which places lie within the rasters' common frame."""
+        """(n,) which places are between the outermost nodes of all rasters, holes included."""
         row, column = self.nodes(lat_rad, lon_rad)
         rows, columns = self.size
         is_in_rows = (row >= 0.0) & (row <= rows - 1)
-        goes_round = self.grid.around > 0
-        is_in_columns = (column <= columns - 1) & ((column >= 0.0) | goes_round)
+        is_round_earth = self.grid.around > 0
+        is_in_columns = (column <= columns - 1) & ((column >= 0.0) | is_round_earth)
         return np.asarray(is_in_rows & is_in_columns)
 
     @property
@@ -125,7 +131,10 @@ class ElevationModel:
         return str(self._rasters[0].path)
 
     def heights(self, row: Array, column: Array) -> Array:
-        """(n,) heights above sea level [m] at places in nodes, bilinear; NaN in holes, outside."""
+        """(n,) heights above sea level [m], bilinear; NaN in holes and outside the rasters.
+
+        ``row``, ``column`` (n,) : places as of `nodes`.
+        """
         height = np.full(row.size, np.nan)
         tile = np.empty((TILE + 1, TILE + 1), np.float32)
         tile_of_place = np.stack([np.floor(row) // TILE, np.floor(column) // TILE])
@@ -135,7 +144,7 @@ class ElevationModel:
             first_column = tile_column * TILE
             places = np.flatnonzero(number_of_tile == number)
             with self.lock:
-                self._read(first_row, first_column, tile)
+                self._fill_tile(first_row, first_column, tile)
             height[places] = _bilinear(
                 tile,
                 first_row,
@@ -146,45 +155,48 @@ class ElevationModel:
         return height
 
     def load(self, tiles: Integers) -> None:
-        """Read tiles that are not in memory, as many as fit there, in the place of others."""
+        """Read tiles into memory, as many as fit; other tiles make room, the first loaded first.
+
+        ``tiles`` : numbers of tiles, row by row, that are not in memory.
+        """
         from unbend.refraction.kernels.terrain import extremes_of_tile
 
         grid = self.grid
         slots = grid.tiles.shape[0]
         tile_columns = grid.slot.shape[1]
-        wanted = sorted(tiles[:slots].tolist())  # neighbours share blocks of files
-        for tile in wanted:
-            slot = len(self._held)
+        requested = sorted(tiles[:slots].tolist())  # neighbours share blocks of files
+        for tile in requested:
+            slot = len(self._slot_of_tile)
             if slot == slots:
-                oldest = next(held for held in self._held if held not in wanted)
-                slot = self._held.pop(oldest)
+                oldest = next(other for other in self._slot_of_tile if other not in requested)
+                slot = self._slot_of_tile.pop(oldest)
                 grid.slot[divmod(oldest, tile_columns)] = -1
             place = divmod(tile, tile_columns)
             tile_row, tile_column = place
-            self._read(tile_row * TILE, tile_column * TILE, grid.tiles[slot])
+            self._fill_tile(tile_row * TILE, tile_column * TILE, grid.tiles[slot])
             low = grid.block_low[slot]
             high = grid.block_high[slot]
             extremes_of_tile(grid.tiles[slot], low, high)
             grid.low[place] = low.min()
             grid.high[place] = high.max()
             grid.slot[place] = slot
-            self._held[tile] = slot
+            self._slot_of_tile[tile] = slot
 
-    def _read(
+    def _fill_tile(
         self,
         row: int,
         column: int,
         tile: NDArray[np.float32],
     ) -> None:
-        """Fill a tile with its nodes [m above sea level], NaN in holes and beside the rasters.
+        """Fill ``tile`` with heights [m above sea level], NaN in holes and outside the rasters.
 
-        ``row`` and ``column`` are those of its first node.
+        ``row``, ``column`` : of its first node.
         """
         self._read_rasters(row, column, tile)
-        # Numbers for holes that the file does not declare are no heights either.
+        # Impossible heights are holes that the file does not declare.
         if not (tile.min() > _LOWEST_M and tile.max() < _HIGHEST_M):
-            is_no_height = (tile <= _LOWEST_M) | (tile >= _HIGHEST_M)
-            np.copyto(tile, np.float32(np.nan), where=is_no_height)
+            is_hole = (tile <= _LOWEST_M) | (tile >= _HIGHEST_M)
+            np.copyto(tile, np.float32(np.nan), where=is_hole)
         if self._undulation is not None:
             tile -= self._undulations(self._undulation, row, column)
 
@@ -194,15 +206,19 @@ class ElevationModel:
         column: int,
         tile: NDArray[np.float32],
     ) -> None:
-        """Fill a tile with the numbers of the rasters in metres; the first has its way."""
+        """Fill ``tile`` with the numbers of the rasters in metres; the first raster has precedence.
+
+        ``row``, ``column`` : of its first node. In a model round the earth each raster also recurs
+        a full turn to the west and to the east.
+        """
         tile[:] = np.nan
         is_empty = True
-        turns = [0]
+        shifts = [0]
         if self.grid.around:
-            turns = [-self.grid.around, 0, self.grid.around]
-        for raster, (top, first_column) in zip(self._rasters, self._places, strict=True):
-            for turn in turns:
-                left = first_column + turn
+            shifts = [-self.grid.around, 0, self.grid.around]
+        for raster, (top, first_column) in zip(self._rasters, self._first_nodes, strict=True):
+            for shift in shifts:
+                left = first_column + shift
                 row_begin = max(row, top)
                 row_end = min(row + TILE + 1, top + raster.rows)
                 column_begin = max(column, left)
@@ -213,7 +229,7 @@ class ElevationModel:
                 columns_of_tile = slice(column_begin - column, column_end - column)
                 part = tile[rows_of_tile, columns_of_tile]
                 heights = raster.read(row_begin - top, column_begin - left, *part.shape)
-                # A damaged raster may have numbers of which numpy warns; they are holes later.
+                # Numbers of a damaged raster may overflow; the caller makes them holes.
                 with np.errstate(all="ignore"):
                     heights *= np.float32(raster.unit_m or self._system.unit_m)
                 np.copyto(part, heights, where=is_empty or np.isnan(part))
@@ -225,22 +241,31 @@ class ElevationModel:
         row: int,
         column: int,
     ) -> NDArray[np.float32]:
-        """Undulations [m] at the nodes of a tile, bilinear between those of every 64th."""
-        node = np.linspace(0.0, TILE, _UNDULATIONS_A_TILE)
+        """(TILE + 1, TILE + 1) undulations [m] at the nodes of a tile.
+
+        Bilinear between each 64th node. ``row``, ``column`` : of the tile's first node.
+        """
+        coarse_nodes = TILE // _UNDULATION_STEP + 1
+        node = np.linspace(0.0, TILE, coarse_nodes)
         x_of_column = self._west + (column + node + 0.5) * self._step_x
         y_of_row = self._north - (row + node + 0.5) * self._step_y
         x, y = np.meshgrid(x_of_column, y_of_row)
         with self._projecting:
             lon, lat = self._system.to_places(x.ravel(), y.ravel())
-        at_nodes = undulation(np.radians(lat), np.radians(lon)).reshape(x.shape)
-        place = np.arange(TILE + 1) / 64.0
-        distance = np.abs(place[:, None] - np.arange(_UNDULATIONS_A_TILE))
+        coarse = undulation(np.radians(lat), np.radians(lon)).reshape(x.shape)
+        # Weights (TILE + 1, coarse_nodes) of linear interpolation along a side.
+        place = np.arange(TILE + 1) / _UNDULATION_STEP
+        distance = np.abs(place[:, None] - np.arange(coarse_nodes))
         weight = np.maximum(0.0, 1.0 - distance)
-        return np.asarray((weight @ at_nodes @ weight.T).astype(np.float32))
+        return np.asarray((weight @ coarse @ weight.T).astype(np.float32))
 
 
 def _empty_grid(rows: int, columns: int, around: int) -> TerrainGrid:
-    """A grid of nodes of which no tile is in memory; ``around`` columns go round the earth."""
+    """A grid of rows and columns of nodes, without a tile in memory.
+
+    ``around`` : columns of a full turn round the earth; 0 if the grid does not go round it.
+    """
+    # Tiles are counted upwards: a part of a tile is one.
     tile_rows = -(-rows // TILE)
     tile_columns = -(-(around or columns) // TILE)
     shape = (tile_rows, tile_columns)
@@ -264,7 +289,10 @@ def _bilinear(
     row: Array,
     column: Array,
 ) -> Array:
-    """(n,) heights [m] at places in nodes, all within a tile that begins at a row and a column."""
+    """(n,) heights [m] at places (row and column in nodes), all of them in one tile.
+
+    ``first_row``, ``first_column`` : of the tile's first node.
+    """
     node_row = np.floor(row)
     node_column = np.floor(column)
     down = row - node_row
@@ -277,7 +305,12 @@ def _bilinear(
 
 
 class _Raster:
-    """One file: its frame, its nodes, and what to do to its numbers to have metres."""
+    """One file of an elevation model.
+
+    ``west``, ``north`` : x and y of the corner of its first cell; ``step_x``, ``step_y`` : size of
+    a cell. ``unit_m`` : unit of its heights, None if it states none. ``has_holes`` : cells may be
+    without a height.
+    """
 
     def __init__(self, path: Path, open_raster: Callable[[Path], Any]) -> None:
         from rasterio.enums import MaskFlags
@@ -287,7 +320,7 @@ class _Raster:
         source = open_raster(path)
         affine = source.transform
         self.crs = source.crs.to_wkt() if source.crs else ""
-        if source.count != 1 or not is_upright(affine) or source.driver in NAME_OTHERS:
+        if source.count != 1 or not is_upright(affine) or source.driver in INDEX_FORMATS:
             raise messages.dem_raster(
                 where=path,
                 driver=source.driver,
@@ -307,10 +340,10 @@ class _Raster:
         self.unit_m = _unit_of_heights(path, source.units[0])
         self.scale = source.scales[0]
         self.offset = source.offsets[0]
-        self.holed = MaskFlags.all_valid not in source.mask_flag_enums[0]
+        self.has_holes = MaskFlags.all_valid not in source.mask_flag_enums[0]
 
     def corners(self) -> list[tuple[float, float]]:
-        """x and y of its four corners in its coordinate system."""
+        """x and y of the four corners, in the coordinate system of the raster."""
         east = self.west + self.columns * self.step_x
         south = self.north - self.rows * self.step_y
         return [
@@ -327,7 +360,10 @@ class _Raster:
         rows: int,
         columns: int,
     ) -> NDArray[np.float32]:
-        """A window of the heights [m]; NaN in holes, and for numbers that are no heights."""
+        """(rows, columns) heights in the unit of the raster, NaN in holes that it declares.
+
+        ``row``, ``column`` : of the window's first cell. Scale and offset are applied.
+        """
         from rasterio import Env
         from rasterio.errors import RasterioError
         from rasterio.windows import Window
@@ -339,7 +375,7 @@ class _Raster:
                 numbers = source.read(
                     1,
                     window=window,
-                    masked=self.holed,
+                    masked=self.has_holes,
                     out_dtype=np.float32,
                 )
         except RasterioError as error:
@@ -353,13 +389,16 @@ class _Raster:
 
 
 def _unit_of_heights(path: Path, unit: str | None) -> float | None:
-    """The unit [m] that a raster states for its heights, None without one; refuses an unknown."""
+    """The size [m] of a unit of heights, None without one; refuses (DEM-UNIT) an unknown unit.
+
+    ``path`` of the raster is for the message.
+    """
     if not unit:
         return None
     name = unit.strip().lower().replace(" ", "-")
-    if name not in _METRES:
+    if name not in _METRES_OF_UNIT:
         raise messages.dem_unit(where=path, unit=unit)
-    return _METRES[name]
+    return _METRES_OF_UNIT[name]
 
 
 def open_elevation(
@@ -369,15 +408,17 @@ def open_elevation(
     reference: str,
     undulation: Callable[[Array, Array], Array],
 ) -> tuple[ElevationModel, Notes]:
-    """The model in some rasters that lie on one grid; anything that GDAL reads, GeoTIFF and COG.
+    """The elevation model in rasters on one grid, in any format that GDAL reads.
 
-    ``paths`` : one raster, or tiles of one; where they overlap the first has its way. ``crs`` : the
-    coordinate system, where the files have none. ``reference`` : what the heights count from, msl
-    or ellipsoid; for the latter ``undulation`` of places [rad].
+    ``paths`` : one raster, or tiles of one; where they overlap, the first takes precedence.
+    ``crs`` : the coordinate system that the mission file states, needed if the files have none.
+    ``reference`` : what the heights count from, msl or ellipsoid. ``undulation`` : [m], of latitude
+    and longitude [rad], used for ellipsoid.
 
-    Values belong to centres of cells and are bilinear between. Refuses (InputError) what is no
-    raster of heights (DEM-UNREADABLE, DEM-RASTER, DEM-UNIT), rasters of several grids (DEM-TILES),
-    and a system that is missing, or contradicts what is stated (DEM-CRS, CRS-VERTICAL).
+    Values belong to centres of cells and are bilinear between. Refuses (InputError) a file that is
+    not a raster of heights (DEM-UNREADABLE, DEM-RASTER, DEM-UNIT), rasters of several grids
+    (DEM-TILES), and a system that is missing, or contradicts what is stated (DEM-CRS,
+    CRS-VERTICAL).
     """
     try:
         import rasterio
@@ -393,7 +434,7 @@ def open_elevation(
     corners: list[tuple[float, float]] = []
     for raster in rasters:
         corners += raster.corners()
-    system = grid_system(
+    system = raster_system(
         _system_of_rasters(rasters, where) or _stated_system(crs, where),
         crs,
         corners=np.transpose(corners),
@@ -414,7 +455,7 @@ def open_elevation(
         system=system.name,
         heights=system.vertical or reference,
         unit_m=rasters[0].unit_m or system.unit_m,
-        operation=system.by,
+        operation=system.operation,
         is_good=system.is_good,
         is_sea_level=system.is_sea_level or not system.vertical,
     )
@@ -422,7 +463,7 @@ def open_elevation(
 
 
 def _system_of_rasters(rasters: Sequence[_Raster], where: str) -> str:
-    """The coordinate system of rasters, empty where none has one; refuses several."""
+    """The coordinate system of rasters as WKT, "" if none has one; refuses (DEM-CRS) several."""
     systems = {raster.crs for raster in rasters}
     if len(systems) > 1:
         raise messages.rasters_of_several_systems(where=where)
@@ -430,7 +471,7 @@ def _system_of_rasters(rasters: Sequence[_Raster], where: str) -> str:
 
 
 def _stated_system(crs: str | None, where: str) -> str:
-    """The coordinate system that the mission file states; refuses none."""
+    """The coordinate system that the mission file states; refuses (DEM-CRS) a file without one."""
     if not crs:
         raise messages.rasters_without_system(where=where)
     return crs

@@ -1,4 +1,4 @@
-"""What GDAL reads for a raster, and how: the same on every machine."""
+"""The files and options with which GDAL reads a raster: the same on each machine."""
 
 import math
 import os
@@ -18,28 +18,30 @@ GDAL_OPTIONS = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "FALSE",
     "GTIFF_POINT_GEO_IGNORE": "FALSE",
 }
-"""Bytes for blocks of files, which tiles share at their edges (by default 5 % of the memory). Half
-of the time of a tile is decompression: on all cores. The rest are GDAL's defaults, which variables
-of the environment would change, and with them where a raster lies."""
+"""GDAL_CACHEMAX : bytes for decoded blocks, which tiles share at their edges; by default 5 % of the
+memory. GDAL_NUM_THREADS : half of the time of a tile is decompression. The others are GDAL's
+defaults, stated here because environment variables can change them, and with them the position of
+a raster."""
 
-NAME_OTHERS = "GTI", "STACIT", "STACTA", "TIL", "VRT", "WCS", "WMS", "WMTS"
-"""Formats of files that name other rasters, whose change no hash of theirs would show."""
+INDEX_FORMATS = "GTI", "STACIT", "STACTA", "TIL", "VRT", "WCS", "WMS", "WMTS"
+"""GDAL's drivers of files that name other rasters: their hash does not show a change of those."""
 
 FIXED_BYTES = 256_000_000
-MOST_BYTES_A_BYTE = 100
-"""Of values that are unpacked at once, for any file and for each of its bytes. Heights shrink to a
-tenth at best; a sparse raster of some kB can state terabytes."""
+BYTES_OF_FILE_BYTE = 100
+"""So many bytes of values may be unpacked at once: a fixed number, and a number for each byte of
+the file. Heights shrink to a tenth at best; a sparse raster of some kB can state terabytes."""
 
-# Endings of files that GDAL does not read beside a raster: a mission's may be called like it.
-_OTHERS = re.compile(r"csv|err|html|log|mcap|out|parquet|tlog|toml|ulg|ya?ml")
-_SETTLED_NS = 2_000_000_000  # a folder changed within this time may change again unseen
+# Endings of files of a mission that may have the raster's stem; GDAL does not read such files.
+_NOT_OF_GDAL = re.compile(r"csv|err|html|log|mcap|out|parquet|tlog|toml|ulg|ya?ml")
+# A folder that changed within this time is listed again: a further change need not alter its time.
+_SETTLED_NS = 2_000_000_000
 
 
 @contextmanager
 def opening_rasters() -> Iterator[None]:
-    """Open rasters with `GDAL_OPTIONS`, and without a warning of one that has no frame.
+    """Open rasters with `GDAL_OPTIONS`, and without the warning that one is not georeferenced.
 
-    Such a raster is refused by its transform, which is the identity.
+    Such a raster has the identity as its transform, and is refused because of that.
     """
     import rasterio
 
@@ -49,47 +51,48 @@ def opening_rasters() -> Iterator[None]:
 
 
 def may_unpack(path: Path, unpacked_bytes: int) -> bool:
-    """Whether so many bytes of values are in proportion to the size of a raster's files."""
-    if unpacked_bytes <= FIXED_BYTES:  # nearly always: no file is looked at
+    """Whether a number of bytes of values is plausible for the size of a raster's files."""
+    if unpacked_bytes <= FIXED_BYTES:  # the usual case, without access to the files
         return True
     file_bytes = sum(file.stat().st_size for file in raster_files(path))
-    return unpacked_bytes <= FIXED_BYTES + MOST_BYTES_A_BYTE * file_bytes
+    return unpacked_bytes <= FIXED_BYTES + BYTES_OF_FILE_BYTE * file_bytes
 
 
 def is_upright(transform: Sequence[float]) -> bool:
     """Whether the rows of a raster run to the east and its columns to the south, by finite steps.
 
-    ``transform`` : of a raster, as rasterio has it.
+    ``transform`` : rasterio's affine of the raster: x = a column + b row + c, y = d column + e row
+    + f, in the order a to f.
 
     >>> is_upright((0.25, 0.0, 7.0, 0.0, -0.25, 46.0))
     True
     >>> is_upright((0.25, 0.0, 7.0, 0.0, 0.25, 46.0))
     False
     """
-    step_east, turn, west = transform[:3]
-    other_turn, step_north, north = transform[3:6]
-    if not all(math.isfinite(number) for number in (step_east, west, step_north, north)):
+    x_by_column, x_by_row, west = transform[:3]
+    y_by_column, y_by_row, north = transform[3:6]
+    if not all(math.isfinite(number) for number in (x_by_column, west, y_by_row, north)):
         return False
-    runs_east = step_east > 0.0
-    runs_south = step_north < 0.0
-    is_turned = turn != 0.0 or other_turn != 0.0
+    runs_east = x_by_column > 0.0
+    runs_south = y_by_row < 0.0
+    is_turned = x_by_row != 0.0 or y_by_column != 0.0
     return runs_east and runs_south and not is_turned
 
 
 def raster_files(path: Path) -> tuple[Path, ...]:
-    """A raster and the files beside it that GDAL takes its frame, scale, unit and holes from.
+    """A raster, and the files that GDAL may take its georeference, scale, unit and holes from.
 
-    Those that are called like its stem, with or without more behind a dot, in any case of letters:
-    of dem.tif dem.tif.aux.xml, dem.tif.msk, dem.tfw, DEM.prj. Of an Arc/Info grid (.adf) all that
-    are in its folder.
+    These are the files in its folder with its stem, or its stem and a dot at the beginning, in any
+    case of letters: for dem.tif dem.tif.aux.xml, dem.tif.msk, dem.tfw, DEM.prj. For an Arc/Info
+    grid (.adf) all files in its folder.
     """
     folder = path.parent
-    changed = folder.stat().st_mtime_ns if folder.is_dir() else 0
-    settled = changed + _SETTLED_NS < time.time_ns()
-    names_in_folder = _by_beginning if settled else _by_beginning.__wrapped__
+    changed_ns = folder.stat().st_mtime_ns if folder.is_dir() else 0
+    is_settled = changed_ns + _SETTLED_NS < time.time_ns()
+    list_names = _names_by_beginning if is_settled else _names_by_beginning.__wrapped__
     beginning = "" if path.suffix.lower() == ".adf" else path.stem.lower()
     files = [path]
-    for name in names_in_folder(folder, changed).get(beginning, ()):
+    for name in list_names(folder, changed_ns).get(beginning, ()):
         file = folder / name
         if name != path.name and file.is_file():
             files.append(file)
@@ -97,16 +100,20 @@ def raster_files(path: Path) -> tuple[Path, ...]:
 
 
 @lru_cache(maxsize=64)
-def _by_beginning(folder: Path, changed: int) -> dict[str, list[str]]:
-    """The names in a folder, sorted, by each beginning that ends at a dot; "" is one too."""
+def _names_by_beginning(folder: Path, changed_ns: int) -> dict[str, list[str]]:
+    """The sorted names in a folder, by each of their beginnings up to a dot, in lower case.
+
+    a.tif.msk is in "", "a", "a.tif" and "a.tif.msk". ``changed_ns`` is the time of the folder's
+    last change, a key of the cache; 0 for a folder that does not exist.
+    """
     names: dict[str, list[str]] = {}
-    if not changed:  # no such folder
+    if not changed_ns:
         return names
     for name in sorted(os.listdir(folder)):
-        words = name.lower().split(".")
-        if _OTHERS.fullmatch(words[-1]):
+        parts = name.lower().split(".")
+        if _NOT_OF_GDAL.fullmatch(parts[-1]):
             continue
-        for count in range(len(words) + 1):
-            beginning = ".".join(words[:count])
+        for count in range(len(parts) + 1):
+            beginning = ".".join(parts[:count])
             names.setdefault(beginning, []).append(name)
     return names

@@ -1,7 +1,6 @@
-"""Earth-centred axes of other datums than WGS 84, brought to it by PROJ as similarities."""
+"""Earth-centred axes of other datums than WGS 84, brought to its axes by similarities from PROJ."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -10,23 +9,27 @@ from unbend.block.oriented_images import CartesianFrame
 from unbend.geodesy import ecef_of_geodetic
 from unbend.messages import Notes
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.coordinate_systems import prime_meridian_deg, to_wgs84
+from unbend.tables.geodata.coordinate_systems import (
+    BestOperation,
+    prime_meridian_deg,
+    to_wgs84,
+)
 from unbend.units import Array
-
-if TYPE_CHECKING:
-    from pyproj import Transformer
 
 
 @dataclass(frozen=True)
 class GeocentricDatum:
-    """Earth-centred axes of the datum of a coordinate system, on its own ellipsoid."""
+    """The datum of a coordinate system ``crs``, with its earth-centred axes and its ellipsoid.
+
+    ``name`` is that of its geodetic system.
+    """
 
     crs: str
     name: str
 
 
 def datum_of(crs: str) -> GeocentricDatum | None:
-    """The datum of a coordinate system, as WKT or EPSG; None where PROJ knows none.
+    """The datum of a coordinate system, WKT or EPSG; None if PROJ does not know one.
 
     >>> datum_of("EPSG:2056").name, datum_of("LOCAL_CS[...]")
     ('CH1903+', None)
@@ -42,27 +45,28 @@ def datum_of(crs: str) -> GeocentricDatum | None:
     return None if geodetic is None else GeocentricDatum(crs, geodetic.name)
 
 
-CUBE_M = 1000.0  # half an edge of the cube whose corners tell how a datum lies to another
+CUBE_M = 1000.0  # half an edge of the cube with the corners that define the similarity
 
 
 def frame_of_datum(
     datum: GeocentricDatum, xyz: Array, *, keep_heights: bool, where: str, key: str
 ) -> tuple[CartesianFrame, Notes]:
-    """The frame of the earth-centred x, y, z of another datum than WGS 84.
+    """The frame of earth-centred x, y, z of another datum than WGS 84, and a note.
 
-    ``xyz`` (n, 3) are positions of a block: about their middle the best transformation that PROJ
-    has is taken as a similarity. ``keep_heights`` : heights above the own ellipsoid stay what they
-    are, numbers above sea level that a program took for them. Refuses (InputError CRS-BALLPARK) a
-    datum of which PROJ knows only the name.
+    ``xyz`` (n, 3) : positions of a block [m], NaN if unknown. Around their middle the best
+    transformation of PROJ is taken as a similarity. ``keep_heights`` : the heights above the
+    datum's ellipsoid are not transformed, because they are heights above sea level that a program
+    treated as ellipsoidal. ``where``, ``key`` : the file, and the mission file's key, for messages.
+    Refuses (InputError CRS-BALLPARK) a datum without a transformation of known accuracy.
     """
     is_known = np.isfinite(xyz).all(axis=1)
     middle = np.median(xyz[is_known], axis=0)
     corners = CUBE_M * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    places = own_geodetic(datum, middle + corners)
-    transform, by, is_good = to_wgs84_with_heights(datum, places, where, key)
-    lon, lat, h = transform.transform(*places.T)
+    geodetic = geodetic_in_datum(datum, middle + corners)
+    operation = to_wgs84_with_heights(datum, geodetic, where, key)
+    lon, lat, h = operation.transformer.transform(*geodetic.T)
     if keep_heights:
-        h = places[:, 2]
+        h = geodetic[:, 2]
     ecef = ecef_of_geodetic(np.radians(lat), np.radians(lon), h)
     note = messages.positions_on_wgs84(
         where=where,
@@ -70,14 +74,18 @@ def frame_of_datum(
         count=int(is_known.sum()),
         system=f"{datum.name}, earth-centred",
         crs=datum.name,
-        operation=by,
-        is_good=is_good,
+        operation=operation.description,
+        is_good=operation.is_good,
     )
-    return frame_through(corners, ecef, middle), (note,)
+    return fitted_frame(corners, ecef, middle), (note,)
 
 
-def frame_through(corners: Array, ecef: Array, middle: Array) -> CartesianFrame:
-    """The similarity that brings (n, 3) corners about a place to earth-centred positions."""
+def fitted_frame(corners: Array, ecef: Array, middle: Array) -> CartesianFrame:
+    """The similarity that brings positions in another datum to earth-centred ones on WGS 84.
+
+    ``corners`` (n, 3) : the positions less ``middle`` (3,) [m], symmetrical about it. ``ecef``
+    (n, 3) : the same positions on WGS 84 [m].
+    """
     centre = ecef.mean(axis=0)
     rotation, _ = Rotation.align_vectors(ecef - centre, corners)
     matrix = rotation.as_matrix()
@@ -86,8 +94,11 @@ def frame_through(corners: Array, ecef: Array, middle: Array) -> CartesianFrame:
     return CartesianFrame(matrix, centre - scale * matrix @ middle, scale)
 
 
-def own_geodetic(datum: GeocentricDatum, xyz: Array) -> Array:
-    """(n, 3) longitude, latitude [units of the datum's system] and height [m] on its ellipsoid."""
+def geodetic_in_datum(datum: GeocentricDatum, xyz: Array) -> Array:
+    """(n, 3) longitude, latitude and ellipsoidal height [m] of earth-centred xyz (n, 3) in a datum.
+
+    Longitude and latitude are in the unit of the datum's system, from its prime meridian.
+    """
     from pyproj import CRS, Transformer
 
     geodetic = CRS.from_user_input(datum.crs).geodetic_crs
@@ -106,12 +117,12 @@ def own_geodetic(datum: GeocentricDatum, xyz: Array) -> Array:
 
 
 def to_wgs84_with_heights(
-    datum: GeocentricDatum, own: Array, where: str, key: str
-) -> "tuple[Transformer, str, bool]":
-    """As `to_wgs84` for (n, 3) longitudes, latitudes and ellipsoidal heights of a datum."""
+    datum: GeocentricDatum, geodetic: Array, where: str, key: str
+) -> BestOperation:
+    """`to_wgs84` with heights, for ``geodetic`` (n, 3) as of `geodetic_in_datum`."""
     from pyproj import CRS
 
     system = CRS.from_user_input(datum.crs).geodetic_crs
     unit_deg = np.degrees(system.axis_info[0].unit_conversion_factor)
-    lon_lat = unit_deg * own[:, :2].T + np.array([[prime_meridian_deg(system)], [0.0]])
+    lon_lat = unit_deg * geodetic[:, :2].T + np.array([[prime_meridian_deg(system)], [0.0]])
     return to_wgs84(system.to_3d(), lon_lat, where, key, target="EPSG:4979")

@@ -1,4 +1,4 @@
-"""Grids of the geoid: EGM96 of the package, or a user's own as GTX or GeoTIFF."""
+"""Grids of the geoid: EGM96 of the package, or the user's file, GTX or GeoTIFF."""
 
 import struct
 from functools import lru_cache
@@ -10,11 +10,12 @@ import pyarrow as pa
 
 from unbend.geodesy import GeoidGrid
 from unbend.tables.geodata import messages
-from unbend.tables.geodata.gdal import NAME_OTHERS, is_upright, may_unpack, opening_rasters
+from unbend.tables.geodata.gdal import INDEX_FORMATS, is_upright, may_unpack, opening_rasters
 
 _GTX = struct.Struct(">4d2i")
-"""South edge, west edge, steps of latitude and longitude [deg], rows, columns: big-endian, then
-float32 from the south-west corner, row by row to the north. -88.8888 has no value."""
+"""The header of a GTX, big-endian: latitude and longitude of the first node, steps of latitude and
+longitude [deg], rows, columns. Then float32 from the south-west corner, row by row to the north.
+-88.8888 is a node without a value."""
 
 _GTX_MISSING = np.float32(-88.8888)
 _EGM96_ROWS = 721
@@ -29,20 +30,21 @@ _HIGHEST_UNDULATION_M = 100.0
 def package_geoid() -> GeoidGrid:
     """EGM96 on a grid of 15 minutes, the geoid of autopilots and receivers.
 
-    Source: NGA, WW15MGH.GRD, in the form that PROJ distributes (egm96_15.gtx), bit for bit; public
-    domain. Between nodes the bilinear value is within some decimetres of the full model.
+    Source: NGA, WW15MGH.GRD, public domain, in the form that PROJ distributes (egm96_15.gtx), bit
+    for bit. Between nodes the bilinear value is within some decimetres of the full model.
 
     >>> grid = package_geoid()
     >>> round(float(grid.undulation(0.0, 0.0)), 2)  # published: 17.16
     17.16
     """
-    # Of all values the first bytes, then the second ...: smaller, and read ten times as fast as xz.
     packed = files("unbend.tables").joinpath("data/egm96_15.gtx.zst").read_bytes()
-    size = _GTX.size + 4 * _EGM96_ROWS * _EGM96_COLUMNS
+    size = _GTX.size + _BYTES_OF_VALUE * _EGM96_ROWS * _EGM96_COLUMNS
     content = pa.decompress(packed, size, "zstd", asbytes=True)
     head = content[: _GTX.size]
+    # The file has the first bytes of all values, then the second bytes, and so on: that is smaller
+    # than a packed GTX, and read ten times as fast as xz.
     planes = np.frombuffer(content, np.uint8, offset=_GTX.size)
-    values = planes.reshape(4, -1).T.tobytes()
+    values = planes.reshape(_BYTES_OF_VALUE, -1).T.tobytes()
     return _grid_of_gtx(head + values, Path("EGM96, 15 minutes"))
 
 
@@ -50,7 +52,7 @@ def read_geoid(path: Path) -> GeoidGrid:
     """A user's grid of undulations [m], ellipsoidal minus orthometric height, GTX or GeoTIFF.
 
     GeoTIFFs need rasterio (the extra `rasters`), one band and geographic coordinates. Refuses
-    (InputError GEOID-GRID) a file that is no such grid, or whose values are no undulations.
+    (InputError GEOID-GRID) a file that is not such a grid, or has values outside -120 to 100 m.
     """
     try:
         if path.suffix.lower() == ".gtx":
@@ -70,6 +72,10 @@ def read_geoid(path: Path) -> GeoidGrid:
 
 
 def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
+    """The grid in the bytes of a GTX; refuses (GEOID-GRID) a wrong header or size.
+
+    The grid is called by the name of ``path``.
+    """
     if len(content) < _GTX.size:
         raise messages.geoid_header(where=path)
     south, west, d_lat, d_lon, rows, columns = _GTX.unpack_from(content)
@@ -78,7 +84,7 @@ def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
     has_corner = abs(south) <= 90.0 and abs(west) <= 360.0
     if not (has_size and has_steps and has_corner):
         raise messages.geoid_header(where=path)
-    if len(content) != _GTX.size + 4 * rows * columns:
+    if len(content) != _GTX.size + _BYTES_OF_VALUE * rows * columns:
         raise messages.geoid_size(
             where=path,
             size=len(content),
@@ -98,13 +104,14 @@ def _grid_of_gtx(content: bytes, path: Path) -> GeoidGrid:
 
 
 def _grid_of_raster(path: Path) -> GeoidGrid:
+    """The grid in a raster; refuses (GEOID-GRID) one that is not a geographic band, north up."""
     try:
         import rasterio
     except ImportError:
         raise messages.geoid_needs_rasterio(where=path) from None
     try:
         with opening_rasters(), rasterio.open(path) as raster:
-            is_plain = raster.count == 1 and raster.driver not in NAME_OTHERS
+            is_plain = raster.count == 1 and raster.driver not in INDEX_FORMATS
             if not (is_plain and raster.crs and raster.crs.is_geographic):
                 raise messages.geoid_bands(where=path)
             affine = raster.transform
@@ -117,7 +124,7 @@ def _grid_of_raster(path: Path) -> GeoidGrid:
             from_south = stored.filled(np.nan)[::-1]
             scale = np.float32(raster.scales[0])
             offset = np.float32(raster.offsets[0])
-            # A damaged raster may have numbers of which numpy warns; they are refused later.
+            # Numbers of a damaged raster may overflow; the caller refuses the results.
             with np.errstate(all="ignore"):
                 values = from_south * scale + offset
     except rasterio.errors.RasterioError as error:

@@ -1,7 +1,7 @@
-"""Results in a stated coordinate system: coordinates, heights, and how its grid lies on the ground.
+"""Results in a stated coordinate system: coordinates, heights, convergence and scale of its grid.
 
-The way back of `coordinate_systems`: from WGS 84 by PROJ, without ballpark transformations. Heights
-are never left to PROJ, which returns them unchanged, and says nothing, where it lacks a grid.
+The reverse of `coordinate_systems`: from WGS 84 by PROJ, without ballpark transformations. PROJ
+does not transform heights: where it lacks a grid, it returns them unchanged without an error.
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ if TYPE_CHECKING:
     from pyproj._crs import Axis
 
 STEP_M = 100.0
-"""Half the distance over which the axes of a grid are differenced: PROJ's rounding makes 1e-11 of
-it, and the curvature of a projection 1e-10."""
+"""Half the distance of the differences that give the axes of a grid. Relative errors of the
+differences: 1e-11 by PROJ's rounding, 1e-10 by the curvature of the projection."""
 
 LARGEST_SCALE_ERROR = 0.01
-"""Of a grid that is flown in: those of surveys are within 0.003 in their area of use. Beyond, as in
-Web Mercator, heights and horizontal distances belong to different scales."""
+"""Largest difference from 1 of the scale of a grid for angles. Grids for surveys are within 0.003
+in their area of use. In others, as Web Mercator, heights and distances have different scales."""
 
 LARGEST_DISTORTION = 1e-5
-"""Of the scales in two directions: 3 cm at 3 km. Conformal projections have none."""
+"""Difference of the scales in two directions above which there is a warning: 3 cm at 3 km.
+Conformal projections have none."""
 
 SOUTHERN_END_OF_UTM_DEG = -80.0
 NORTHERN_END_OF_UTM_DEG = 84.0
@@ -51,15 +52,15 @@ ELLIPSOID = "ellipsoid"
 SEA_LEVEL = "sea level"
 STATED_GEOID = "stated geoid"
 
-_UNITS = {"metre": "m", "US survey foot": "us_ft", "foot": "ft", "degree": "deg"}
-"""What stands behind the names of columns."""
+_SUFFIXES = {"metre": "m", "US survey foot": "us_ft", "foot": "ft", "degree": "deg"}
+"""Endings of the names of columns, by PROJ's names of units."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of coordinates: its name, what stands behind the names of columns, and its size.
+    """A unit of coordinates.
 
-    ``size`` is in metres, or in radians.
+    ``suffix`` : the ending of the names of columns in this unit. ``size`` : in metres or radians.
     """
 
     name: str
@@ -71,8 +72,8 @@ class Unit:
 class HeightReference:
     """What heights count from.
 
-    ``kind`` is `ELLIPSOID` (of WGS 84), `SEA_LEVEL` (as the run has it) or `STATED_GEOID` (of the
-    grid ``geoid``); ``name`` is that of the datum. ``is_down`` : depths, positive downwards.
+    ``kind`` : `ELLIPSOID` (of WGS 84), `SEA_LEVEL` (that of the run) or `STATED_GEOID` (that of the
+    grid ``geoid``). ``name`` : of the datum. ``is_down`` : they are depths, positive downwards.
     """
 
     kind: str
@@ -82,9 +83,9 @@ class HeightReference:
     geoid: GeoidGrid | None = None
 
     def heights(self, lat_rad: Array, lon_rad: Array, h_msl: Array, h_ellipsoid: Array) -> Array:
-        """(n,) heights in the unit of the reference; NaN where they are unknown.
+        """(n,) heights, or depths, against this reference in its unit; NaN where unknown.
 
-        ``h_msl``, ``h_ellipsoid`` are heights [m] above sea level and above the ellipsoid.
+        ``h_msl``, ``h_ellipsoid`` are the heights [m] above sea level and above the ellipsoid.
         """
         if self.kind == SEA_LEVEL:
             height_m = h_msl
@@ -92,17 +93,17 @@ class HeightReference:
             height_m = h_ellipsoid - self.geoid.undulation(lat_rad, lon_rad)
         else:
             height_m = h_ellipsoid
-        upwards = -1.0 if self.is_down else 1.0
-        return np.asarray(upwards * height_m / self.unit.size)
+        sign = -1.0 if self.is_down else 1.0
+        return np.asarray(sign * height_m / self.unit.size)
 
 
 @dataclass(frozen=True, eq=False)
 class GridAxes:
-    """How a grid lies at (n,) places.
+    """Direction and scale of a grid's axes at (n,) places.
 
-    ``convergence_rad`` is the azimuth of the second axis, that is of grid north; ``scale`` the
-    length in the grid of a metre on the ellipsoid [m], the mean of all directions; ``distortion``
-    by how much the scales of two directions differ from each other.
+    ``convergence_rad`` : azimuth of the second axis, that is of grid north. ``scale`` : length in
+    the grid of a metre on the ellipsoid [m], the mean of all directions. ``distortion`` : the
+    largest difference of the scales of two directions; 0 for a conformal projection.
     """
 
     convergence_rad: Array
@@ -112,12 +113,13 @@ class GridAxes:
 
 @dataclass(frozen=True, eq=False)
 class MapGrid:
-    """A coordinate system that results are written in, opened about the places of a block.
+    """A coordinate system that results are written in, map or geographic.
 
-    ``identifier`` : as EPSG:25832, "" for a system without. ``wkt``, ``wkt1`` : of the whole
-    system, as ISO 19162 and as OGC 01-009 (empty where it has none). ``axes`` : the directions in
-    which the first and second coordinate grow, as they are written; ``axis_order`` : those of the
-    definition. ``operation`` : how PROJ comes there from WGS 84.
+    ``identifier`` : as EPSG:25832, "" for a system without one. ``wkt``, ``wkt1`` : of the whole
+    system, as ISO 19162 and as OGC 01-009, "" if it cannot be written so. ``axes`` : directions of
+    the first and second coordinate as they are written; ``axis_order`` : directions of all
+    coordinates in the order of the definition. ``unit`` : of the first two. ``operation`` : PROJ's
+    transformation from WGS 84 in words; ``transformer`` does it, the best for one block.
     """
 
     identifier: str
@@ -142,22 +144,23 @@ class MapGrid:
         return np.where(is_known, x, np.nan), np.where(is_known, y, np.nan)
 
     def places(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """(n,) longitude and latitude [deg] of coordinates; the reverse of `coordinates`."""
+        """(n,) longitude and latitude on WGS 84 [deg] of x and y; the reverse of `coordinates`."""
         lon, lat = self.transformer.transform(x, y, direction="INVERSE", errcheck=False)
         lon_deg = np.array(lon, dtype=np.float64)
         lat_deg = np.array(lat, dtype=np.float64)
         return lon_deg, lat_deg
 
     def axes_at(self, lat_rad: Array, lon_rad: Array) -> GridAxes:
-        """The axes of the grid at places on the ellipsoid, from differences over 200 m."""
+        """The axes of the grid at (n,) places on the ellipsoid, from differences over 200 m."""
         east = self.at_step(lat_rad, lon_rad, east_m=STEP_M)
         west = self.at_step(lat_rad, lon_rad, east_m=-STEP_M)
         north = self.at_step(lat_rad, lon_rad, north_m=STEP_M)
         south = self.at_step(lat_rad, lon_rad, north_m=-STEP_M)
-        metres = self.unit.size / (2.0 * STEP_M)
-        x_of_east, y_of_east = metres * (east - west)
-        x_of_north, y_of_north = metres * (north - south)
-        # The rotation and the similarity that are nearest to the derivatives.
+        # Derivatives of x and y [m] by metres to the east and to the north.
+        to_derivative = self.unit.size / (2.0 * STEP_M)
+        x_of_east, y_of_east = to_derivative * (east - west)
+        x_of_north, y_of_north = to_derivative * (north - south)
+        # The nearest similarity has half of these elements, the remainder is the distortion.
         cosine = x_of_east + y_of_north
         sine = x_of_north - y_of_east
         return GridAxes(
@@ -169,7 +172,7 @@ class MapGrid:
     def at_step(
         self, lat_rad: Array, lon_rad: Array, *, east_m: float = 0.0, north_m: float = 0.0
     ) -> Array:
-        """(2, n) x and y of places that are a step away from (n,) places on the ellipsoid."""
+        """(2, n) x and y of the places a step to the east and north of places on the ellipsoid."""
         step = np.tile([east_m, north_m, 0.0], (lat_rad.size, 1))
         height = np.zeros(lat_rad.size)
         lat, lon, _ = offset_geodetic(lat_rad, lon_rad, height, step)
@@ -179,11 +182,12 @@ class MapGrid:
 def open_grid(
     crs: str, lat_rad: Array, lon_rad: Array, *, geoid: GeoidGrid | None, needs_angles: bool
 ) -> tuple[MapGrid, Notes]:
-    """The coordinate system of an export, about (n,) places of its stations on WGS 84.
+    """The coordinate system of an export, with the best transformation for its stations.
 
-    ``crs`` as PROJ knows it, EPSG:25832 or EPSG:25832+7837. ``geoid`` is the user's grid that
-    belongs to its vertical part. Refuses (ConfigError EXPORT-CRS) what is no such system, or cannot
-    be reached. With ``needs_angles`` a geographic system is refused, too.
+    ``crs`` : as PROJ knows it, EPSG:25832 or EPSG:25832+7837. ``lat_rad``, ``lon_rad`` : (n,)
+    places of the stations on WGS 84, NaN if unknown. ``geoid`` : the user's grid of the vertical
+    part. ``needs_angles`` : the export has angles against the grid, so a geographic system is
+    refused. Refuses (ConfigError EXPORT-CRS) what is not such a system, or cannot be reached.
     """
     parts = parts_of(crs)
     horizontal = parts.horizontal
@@ -209,7 +213,7 @@ def open_grid(
         axis_order=tuple(axis.direction for axis in parts.whole.axis_info),
         unit=unit_of(horizontal.axis_info[0]),
         height=height,
-        operation=best.by,
+        operation=best.description,
         transformer=best.transformer,
     )
     if not grid.is_geographic:
@@ -218,19 +222,19 @@ def open_grid(
         count=lon_lat_deg.shape[1],
         crs=crs,
         name=grid.name,
-        operation=best.by,
+        operation=best.description,
         is_good=best.is_good,
     )
     return grid, (reached, *height_notes, *_notes_of_area(horizontal, lon_lat_deg))
 
 
 def area_of(horizontal: CRS) -> str:
-    """The name of the area in which a system is meant to be used."""
+    """The name of a system's area of use; "the earth" if it states none."""
     return horizontal.area_of_use.name if horizontal.area_of_use else "the earth"
 
 
 def _notes_of_area(horizontal: CRS, lon_lat_deg: Array) -> Notes:
-    """How many of (2, n) places are beyond the area of a system, if any are."""
+    """A note if some of (2, n) longitudes and latitudes are outside a system's area of use."""
     outside = int(np.sum(~is_in_area(horizontal, lon_lat_deg, margin_deg=0.0)))
     if not outside:
         return ()
@@ -239,7 +243,7 @@ def _notes_of_area(horizontal: CRS, lon_lat_deg: Array) -> Notes:
 
 
 def utm_zone(lat_deg: float, lon_deg: float) -> str | None:
-    """The code of the UTM zone of a place on WGS 84; None nearer to a pole than they reach.
+    """The EPSG code of the UTM zone of a place on WGS 84; None beyond 84° north or 80° south.
 
     >>> utm_zone(47.4, 8.6), utm_zone(-33.9, 18.4), utm_zone(85.0, 0.0)
     ('EPSG:32632', 'EPSG:32734', None)
@@ -252,7 +256,7 @@ def utm_zone(lat_deg: float, lon_deg: float) -> str | None:
 
 
 def utm_grid(lat_deg: float, lon_deg: float) -> MapGrid | None:
-    """The UTM zone of a place on WGS 84, opened there; None nearer to a pole than they reach."""
+    """The UTM zone of a place on WGS 84, opened there; None beyond 84° north or 80° south."""
     code = utm_zone(lat_deg, lon_deg)
     if code is None:
         return None
@@ -264,7 +268,10 @@ def utm_grid(lat_deg: float, lon_deg: float) -> MapGrid | None:
 
 @dataclass(frozen=True)
 class SystemParts:
-    """A coordinate system: its horizontal part, its vertical part or None, and the whole."""
+    """A coordinate system: its horizontal part, its vertical part or None, and the whole.
+
+    ``horizontal`` is the whole if it is not compound, also with three dimensions.
+    """
 
     horizontal: CRS
     vertical: CRS | None
@@ -272,12 +279,12 @@ class SystemParts:
 
     @property
     def is_3d(self) -> bool:
-        """Whether it is not compound, and has ellipsoidal heights of its own."""
+        """Whether the system is not compound, and has ellipsoidal heights."""
         return not self.whole.is_compound and len(self.whole.axis_info) == 3
 
 
 def parts_of(crs: str) -> SystemParts:
-    """A coordinate system in its parts; refuses (EXPORT-CRS) what PROJ does not know."""
+    """The parts of a coordinate system; refuses (EXPORT-CRS) what PROJ does not know."""
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
@@ -292,16 +299,19 @@ def parts_of(crs: str) -> SystemParts:
 
 
 def refuse_kind(horizontal: CRS, crs: str, *, needs_angles: bool) -> None:
-    """Refuse a system that has no map coordinates, or has no grid where angles need one."""
-    is_known = horizontal.is_projected or horizontal.is_geographic
-    if not is_known or horizontal.is_geocentric:
+    """Refuse a system that is not projected or geographic; with ``needs_angles`` geographic too."""
+    has_positions = horizontal.is_projected or horizontal.is_geographic
+    if not has_positions or horizontal.is_geocentric:
         raise messages.grid_of_other_kind(crs=crs, name=horizontal.name, kind=horizontal.type_name)
     if needs_angles and horizontal.is_geographic:
         raise messages.grid_geographic(crs=crs, name=horizontal.name)
 
 
 def identifier_of(crs: str, authority: tuple[str, str] | None) -> str:
-    """EPSG:25832 of a system that has a code; of a compound one of two codes what was given.
+    """The identifier of a system, as EPSG:25832; "" without one.
+
+    ``authority`` : as PROJ knows it, None if it does not. Then the identifier is ``crs``, if that
+    consists of two codes.
 
     >>> identifier_of("epsg:25832+5773", None), identifier_of("+proj=utm +zone=32", None)
     ('EPSG:25832+5773', '')
@@ -315,7 +325,7 @@ def identifier_of(crs: str, authority: tuple[str, str] | None) -> str:
 
 
 def wkt1_of(whole: CRS) -> str:
-    """The system as OGC 01-009, which older programs read; "" where it cannot be said so."""
+    """The WKT of a system as OGC 01-009, which older programs read; "" if it has none."""
     from pyproj.exceptions import CRSError
 
     try:
@@ -327,12 +337,12 @@ def wkt1_of(whole: CRS) -> str:
 
 def unit_of(axis: Axis) -> Unit:
     """The unit of an axis."""
-    suffix = _UNITS.get(axis.unit_name, axis.unit_name.lower().replace(" ", "_"))
+    suffix = _SUFFIXES.get(axis.unit_name, axis.unit_name.lower().replace(" ", "_"))
     return Unit(axis.unit_name, suffix, axis.unit_conversion_factor)
 
 
 def written_axes(horizontal: CRS) -> tuple[str, str]:
-    """The directions of the first and the second coordinate as PROJ's always_xy orders them."""
+    """The directions of the first two coordinates, in the order of PROJ's option always_xy."""
     first, second = (axis.direction for axis in horizontal.axis_info[:2])
     if (first, second) == ("north", "east"):
         return second, first
@@ -344,9 +354,10 @@ def height_reference(
 ) -> tuple[HeightReference, Notes]:
     """What the heights of an export count from, by the vertical part of its system.
 
-    Without one they count from the ellipsoid of WGS 84, in the unit of a projected system. `geoid`
-    is the user's grid; ``lon_lat_rad`` (2, n) are places of the flight. Refuses (ConfigError
-    EXPORT-CRS) a datum whose grid is not there, and ellipsoids of past surveys.
+    Without a vertical part they count from the ellipsoid of WGS 84, in the unit of a projected
+    system. ``geoid`` : the user's grid; ``lon_lat_rad`` (2, n) : places of the flight. Refuses
+    (ConfigError EXPORT-CRS) a datum without its grid or with a wrong one, a grid that is not
+    needed, and another ellipsoid than that of WGS 84.
     """
     vertical = parts.vertical
     if geoid is not None and (vertical is None or vertical.name in SEA_LEVELS):
@@ -361,16 +372,16 @@ def height_reference(
     if geoid is None:
         raise messages.grid_needs_geoid(crs=crs, vertical=vertical.name)
     lon, lat = lon_lat_rad
-    off = geoid.undulation(lat, lon) - package_geoid().undulation(lat, lon)
-    known_off = off[np.isfinite(off)]
-    if known_off.size == 0:
+    difference_m = geoid.undulation(lat, lon) - package_geoid().undulation(lat, lon)
+    known_m = difference_m[np.isfinite(difference_m)]
+    if known_m.size == 0:
         raise messages.grid_geoid_elsewhere(geoid=geoid.name)
-    off_m = float(np.median(known_off))
+    off_m = float(np.median(known_m))
     if abs(off_m) > LARGEST_GEOID_M:
         raise messages.grid_other_geoid(geoid=geoid.name, off_m=off_m, vertical=vertical.name)
     note = messages.heights_by_grid(
         where="--geoid",
-        count=known_off.size,
+        count=known_m.size,
         datum=vertical.name,
         grid=geoid.name,
         off_m=off_m,
@@ -381,7 +392,7 @@ def height_reference(
 
 
 def _notes_of_ellipsoid(crs: str, parts: SystemParts) -> Notes:
-    """What heights count from in a system that does not say it itself."""
+    """A note that heights count from the ellipsoid, for a system that does not define heights."""
     if parts.is_3d:
         return ()
     identifier = identifier_of(crs, parts.whole.to_authority(min_confidence=100))
@@ -392,7 +403,10 @@ def _notes_of_ellipsoid(crs: str, parts: SystemParts) -> Notes:
 
 
 def ellipsoidal_heights(crs: str, parts: SystemParts) -> HeightReference:
-    """Heights above the ellipsoid of WGS 84, of a system without a vertical part."""
+    """The reference of heights above the ellipsoid of WGS 84, for a system without vertical part.
+
+    Refuses (EXPORT-CRS) a three-dimensional system on another ellipsoid.
+    """
     ellipsoid = parts.horizontal.ellipsoid
     is_wgs84 = ellipsoid is not None and abs(ellipsoid.semi_major_metre - WGS84_A) <= 1.0
     if parts.is_3d and not is_wgs84:
@@ -405,7 +419,10 @@ def ellipsoidal_heights(crs: str, parts: SystemParts) -> HeightReference:
 
 
 def refuse_left_handed(grid: MapGrid, crs: str, lat_rad: Array, lon_rad: Array) -> None:
-    """Refuse axes of which the second is not counter-clockwise of the first, seen from above."""
+    """Refuse (EXPORT-CRS) axes that are mirrored: y clockwise of x, seen from above.
+
+    ``lat_rad``, ``lon_rad`` (1,) : the place at which they are tested.
+    """
     middle = grid.at_step(lat_rad, lon_rad)
     to_east = grid.at_step(lat_rad, lon_rad, east_m=STEP_M) - middle
     to_north = grid.at_step(lat_rad, lon_rad, north_m=STEP_M) - middle
@@ -415,9 +432,10 @@ def refuse_left_handed(grid: MapGrid, crs: str, lat_rad: Array, lon_rad: Array) 
 
 
 def check_grid_axes(axes: GridAxes, *, crs: str, name: str) -> Notes:
-    """What angles in a grid have to say of it: convergence, scale, and distortion where it matters.
+    """Notes on a grid for angles: convergence and scale, and a warning if it is distorted.
 
-    Refuses (ConfigError EXPORT-CRS) a grid whose scale is beyond that of any survey.
+    ``axes`` : those at the stations, at least one. Refuses (ConfigError EXPORT-CRS) a grid with a
+    scale that differs by more than 1 % from 1.
     """
     lowest = float(np.nanmin(axes.scale))
     highest = float(np.nanmax(axes.scale))
@@ -438,9 +456,9 @@ def check_grid_axes(axes: GridAxes, *, crs: str, name: str) -> Notes:
 
 
 def utm_zone_of(crs: str) -> tuple[int, str] | None:
-    """The number of the UTM zone of a system, and its hemisphere (N or S); None for another one.
+    """The number of the UTM zone of a system, and its hemisphere (N or S).
 
-    Also for a system whose x begins with the zone, as EPSG:4647.
+    None for other systems, and for one with the zone's number in front of x, as EPSG:4647.
 
     >>> utm_zone_of("EPSG:25833"), utm_zone_of("EPSG:32756")
     ((33, 'N'), (56, 'S'))

@@ -46,7 +46,7 @@ def positions_outside(
     x: float,
     y: float,
 ) -> InputError:
-    """Half of the positions or more lie outside the area of use of their system."""
+    """Half of the positions or more are outside the area of use of their system."""
     return InputError(
         CRS_AREA,
         (
@@ -79,7 +79,7 @@ def some_positions_outside(
     x: float,
     y: float,
 ) -> Message:
-    """Some positions, fewer than half, lie outside the area of use of their system."""
+    """Some positions, fewer than half, are outside the area of use of their system."""
     return loss(
         CRS_AREA,
         (
@@ -103,7 +103,7 @@ def some_positions_outside(
 
 
 def positions_beyond_grid(*, where: str, key: str, count: int, operation: str) -> Message:
-    """Positions inside the system's area where the transformation's grid has no value."""
+    """Positions are inside the system's area, but the transformation's grid has no value there."""
     return loss(
         CRS_AREA,
         (
@@ -130,7 +130,7 @@ CRS_BALLPARK = Code(
 
 
 def crs_ballpark(*, where: Path | str, name: str, named: str) -> InputError:
-    """PROJ has only a transformation without known accuracy."""
+    """PROJ has no transformation of known accuracy; ``named`` is the key of the mission file."""
     return InputError(
         CRS_BALLPARK,
         "{name} has no transformation to WGS 84 with a known accuracy",
@@ -197,7 +197,7 @@ CRS_UNKNOWN = Code(
 
 
 def crs_unknown(*, where: Path | str, crs: str, error: str, named: str) -> InputError:
-    """PROJ does not know the system, or it is not one of places on the ground."""
+    """PROJ does not know the system, or it is not a system of horizontal positions."""
     return InputError(
         CRS_UNKNOWN,
         "PROJ does not know a coordinate system for positions with the name {crs!r}: {error}",
@@ -279,7 +279,7 @@ def crs_vertical_grid(
 def crs_vertical_other_grid(
     *, where: Path | str, named: str, geoid: str, off_m: float, vertical: str
 ) -> InputError:
-    """The grid of undulations is too far from EGM96 for any datum's."""
+    """The grid of undulations differs from EGM96 by more than any sea level does."""
     return InputError(
         CRS_VERTICAL,
         (
@@ -332,7 +332,7 @@ DEM_CRS = Code(
 
 
 def dem_crs_stated(*, where: Path | str, own: str, other: str, named: str) -> InputError:
-    """A raster has a system of its own, and the mission file states another."""
+    """A raster states a coordinate system, ``own``, and the mission file states another."""
     return InputError(
         DEM_CRS,
         "the file is in {own}, but {other} is stated",
@@ -451,7 +451,10 @@ def elevation_read(
     is_good: bool,
     is_sea_level: bool,
 ) -> Message:
-    """What elevation model was read; a warning where place or height may be a metre off."""
+    """The elevation model that was read; a warning if position or height may be a metre off.
+
+    ``count`` : of rasters. ``columns``, ``rows`` : of all together.
+    """
     text = (
         "{count} rasters, {columns} by {rows} cells of {step_x:g} by {step_y:g} in {system}; "
         "heights are {heights}, in units of {unit_m:g} m; to WGS 84 by {operation}"
@@ -492,7 +495,10 @@ def dem_tiles(
     step: tuple[float, float],
     first_step: tuple[float, float],
 ) -> InputError:
-    """A raster does not lie on the grid of the first one; steps are those of x and y."""
+    """A raster is not on the grid of the ``first`` one; steps are those of x and y.
+
+    ``off`` : the offset of its nodes in cells.
+    """
     return InputError(
         DEM_TILES,
         (
@@ -562,6 +568,7 @@ GEOID_GRID = Code(
 
 
 def _no_geoid(where: Path | str, why: str, **values: Any) -> InputError:
+    """A file is not a grid of undulations: ``why``, a text with placeholders for ``values``."""
     return InputError(
         GEOID_GRID,
         f"it is not a grid of undulations: {why}",
@@ -585,23 +592,23 @@ def geoid_header(*, where: Path | str) -> InputError:
 
 
 def geoid_size(*, where: Path | str, size: int, rows: int, columns: int) -> InputError:
-    """A .gtx is longer or shorter than its header says."""
+    """A .gtx is longer or shorter than its header states."""
     why = "{size} are not {rows} times {columns} values"
     return _no_geoid(where, why, size=Counted(size, "byte"), rows=rows, columns=columns)
 
 
 def geoid_needs_rasterio(*, where: Path | str) -> InputError:
-    """A GeoTIFF, and rasterio is not installed."""
+    """The file is a GeoTIFF, but rasterio is not installed."""
     return _no_geoid(where, "a GeoTIFF needs rasterio: pip install 'unbend[rasters]'")
 
 
 def geoid_bands(*, where: Path | str) -> InputError:
-    """A raster of several bands, of a projection, or one that names other rasters."""
+    """The raster has several bands, is projected, or names other rasters."""
     return _no_geoid(where, "one band in geographic coordinates is needed, in the file itself")
 
 
 def geoid_turned(*, where: Path | str) -> InputError:
-    """A raster whose rows are not parallels, or that begins in the south."""
+    """The raster is turned, or its first row is in the south."""
     return _no_geoid(where, "its rows are not along parallels, from north to south")
 
 
@@ -652,7 +659,7 @@ POINTS_REPEATED = Code(
 
 
 def points_repeated(*, where: Path | str, count: int, first: str) -> InputError:
-    """Points of a table stand there more than once."""
+    """Points occur in the table more than once."""
     return InputError(
         POINTS_REPEATED,
         "{count} points occur more than once, the first is {first}",
@@ -698,7 +705,7 @@ EXPORT_CRS = Code(
 
 
 def grid_unknown(*, crs: str, error: str) -> ConfigError:
-    """PROJ knows no such system."""
+    """PROJ does not know the system."""
     return ConfigError(
         EXPORT_CRS,
         "{crs!r} is not a coordinate system that PROJ knows: {error}",
@@ -710,7 +717,7 @@ def grid_unknown(*, crs: str, error: str) -> ConfigError:
 
 
 def grid_of_other_kind(*, crs: str, name: str, kind: str) -> ConfigError:
-    """The system has neither map coordinates nor latitudes."""
+    """The system is neither projected nor geographic."""
     return ConfigError(
         EXPORT_CRS,
         "{name} ({crs}) has no map coordinates: its type is {kind}",
@@ -749,7 +756,7 @@ def grid_without_places(*, crs: str) -> ConfigError:
 
 
 def grid_elsewhere(*, crs: str, name: str, area: str) -> ConfigError:
-    """The block lies far outside the system's area of use."""
+    """The flight is far outside the system's area of use."""
     return ConfigError(
         EXPORT_CRS,
         "the flight is more than 2° outside the area of {name} ({crs}): {area}",
@@ -762,7 +769,7 @@ def grid_elsewhere(*, crs: str, name: str, area: str) -> ConfigError:
 
 
 def grid_ballpark(*, crs: str, name: str) -> ConfigError:
-    """PROJ transforms to the system of an export without known accuracy."""
+    """PROJ has no transformation of known accuracy to the system of an export."""
     return ConfigError(
         EXPORT_CRS,
         "{name} ({crs}) has no transformation from WGS 84 with a known accuracy",
@@ -883,7 +890,7 @@ EXPORT_GRID = Code(
 
 
 def grid_reached(*, count: int, crs: str, name: str, operation: str, is_good: bool) -> Message:
-    """By which transformation an export comes to its system."""
+    """The transformation to the system of an export; a warning if it is not good to 1 m."""
     send = note if is_good else warning
     return send(
         EXPORT_GRID,
@@ -918,7 +925,7 @@ def grid_heights(*, name: str, with_sea_level: str) -> Message:
 
 
 def grid_beyond_area(*, count: int, name: str, area: str) -> Message:
-    """Positions lie a little outside the area of use."""
+    """Positions are a little outside the area of use."""
     return warning(
         EXPORT_GRID,
         "{count} positions are outside the area of {name}: {area}",

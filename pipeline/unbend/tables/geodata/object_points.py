@@ -1,4 +1,4 @@
-"""Object points with their heights, from a table of the user's, looked up by name."""
+"""Object points with their heights, from a table of the user, looked up by name."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ _CODES = (messages.POINTS_TABLE, messages.POINTS_COLUMN)
 
 @dataclass(frozen=True, eq=False)
 class ObjectPoints:
-    """Points by name, (p,); places [rad] on WGS 84, heights [m] as observations have them.
+    """Points (p,) by name: positions on WGS 84, heights [m] in the reference of the observations.
 
-    ``of_image`` are names of images, (i,), and (i + 1,) heights that points without one take there,
-    and in other images.
+    ``of_image`` : names of images (i,), and heights (i + 1,) that points without a height take in
+    each of these images; the last one is for other images. None: such points have no height.
     """
 
     name: pa.StringArray
@@ -43,19 +43,23 @@ class ObjectPoints:
         point: pa.StringArray,
         image: pa.StringArray,
     ) -> tuple[Array, Integers]:
-        """(n,) heights [m] of named points, NaN where unknown; and their rows, -1 without one."""
+        """(n,) heights [m] of observations, NaN where unknown, and (n,) rows of their points.
+
+        ``point``, ``image`` (n,) : names of each observation's point and image. The row is -1 for
+        a point that is not in the table.
+        """
         row = matching_rows(point, self.name)
-        h_m = np.append(self.h_m, np.nan)[row]
+        h_m = np.append(self.h_m, np.nan)[row]  # the last one for row -1
         if self.of_image is not None:
-            names, usual = self.of_image
-            h_m = np.where(np.isnan(h_m), usual[matching_rows(image, names)], h_m)
+            images, h_of_image = self.of_image
+            h_m = np.where(np.isnan(h_m), h_of_image[matching_rows(image, images)], h_m)
         return h_m, row
 
 
-def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Integers:
-    """(n,) the row of each name among those that are known, -1 where it is not.
+def matching_rows(name: pa.StringArray, table_names: pa.StringArray) -> Integers:
+    """(n,) the row in ``table_names`` of each name, -1 if it is not there, or null.
 
-    Characters may be composed in the one and decomposed in the other (Unicode NFC, NFD).
+    Characters may be composed in one array and decomposed in the other (Unicode NFC, NFD).
 
     >>> matching_rows(pa.array(["b", None, "x", "a"]), pa.array(["a", "b"])).tolist()
     [1, -1, -1, 0]
@@ -63,32 +67,32 @@ def matching_rows(name: pa.StringArray, known: pa.StringArray) -> Integers:
     [0]
     """
     encoded = name.dictionary_encode()
-    different = encoded.dictionary
-    is_plain = pc.all(pc.string_is_ascii(known), min_count=0)
-    if not is_plain.as_py():
-        known = pc.utf8_normalize(known, form="NFC")
-        different = pc.utf8_normalize(different, form="NFC")
-    row = pc.fill_null(pc.index_in(different, value_set=known), -1)
+    distinct_names = encoded.dictionary
+    is_ascii = pc.all(pc.string_is_ascii(table_names), min_count=0)
+    if not is_ascii.as_py():
+        table_names = pc.utf8_normalize(table_names, form="NFC")
+        distinct_names = pc.utf8_normalize(distinct_names, form="NFC")
+    row = pc.fill_null(pc.index_in(distinct_names, value_set=table_names), -1)
     row_of_code = row.to_numpy(zero_copy_only=False).astype(np.int64)
     row_of_code = np.append(row_of_code, -1)  # the last one: of null
-    codes = pc.fill_null(encoded.indices, len(different))
+    codes = pc.fill_null(encoded.indices, len(distinct_names))
     return np.asarray(row_of_code[codes.to_numpy(zero_copy_only=False)])
 
 
 def read_object_points(
     path: Path, columns: Mapping[str, str], *, key: str
 ) -> tuple[pa.StringArray, dict[str, Array]]:
-    """Names (p,), and the other columns as numbers by quantity, of a CSV or Parquet table.
+    """The names (p,) of points, and the other columns (p,) by quantity, of a CSV or Parquet table.
 
-    ``columns`` : point, height, and x, y or longitude, latitude -> the user's names; ``key`` that
-    of the mission file which names them. Refuses
-    (InputError) a column that is not there or holds no numbers, and names that occur twice.
+    ``columns`` : the user's names of columns by quantity: point, height, and x, y or longitude,
+    latitude. ``key`` : the key of ``columns`` in the mission file, for messages. Refuses
+    (InputError) a missing column, a column without numbers, and points that occur twice.
     """
     if path.suffix.lower() in (".parquet", ".pq"):
-        given, values = _points_of_parquet(path, columns, key)
+        points, values = _points_of_parquet(path, columns, key)
     else:
-        given, values = _points_of_text(path, columns, key)
-    counted = given.value_counts()
+        points, values = _points_of_text(path, columns, key)
+    counted = points.value_counts()
     if len(counted) == 0:
         raise messages.points_empty(where=path)
     is_repeated = pc.greater(counted.field("counts"), 1)
@@ -96,26 +100,26 @@ def read_object_points(
     if len(repeated):
         first = repr(repeated[0].as_py())
         raise messages.points_repeated(where=path, count=len(repeated), first=first)
-    return given, values
+    return points, values
 
 
 def _points_of_parquet(
     path: Path, columns: Mapping[str, str], key: str
 ) -> tuple[pa.StringArray, dict[str, Array]]:
-    """Names (p,), and the other columns as numbers, of a Parquet table."""
+    """As `read_object_points`, of a Parquet table; names may occur twice."""
     try:
-        wanted = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
-        present = pq.read_schema(path).names
-        require_names(messages.POINTS_COLUMN, path, present, wanted)
+        required = [(quantity, name, f"{key}.{quantity}") for quantity, name in columns.items()]
+        names_in_file = pq.read_schema(path).names
+        require_names(messages.POINTS_COLUMN, path, names_in_file, required)
         table = pq.read_table(path, columns=list(columns.values()))
-        given = table[columns["point"]].cast(pa.string()).combine_chunks()
+        points = table[columns["point"]].cast(pa.string()).combine_chunks()
         values = {}
         for quantity, name in columns.items():
             if quantity != "point":
                 values[quantity] = table[name].cast(pa.float64(), safe=False).to_numpy()
     except (pa.ArrowException, OSError) as error:
         raise messages.points_table(where=path, error=str(error)) from None
-    rows = np.arange(len(given)) + LINE_OF_FIRST_ROW
+    lines = np.arange(len(points)) + LINE_OF_FIRST_ROW  # as of a CSV, for messages
     for quantity, numbers in values.items():
         name = columns[quantity]
         largest = largest_of(quantity)
@@ -125,15 +129,15 @@ def _points_of_parquet(
             path,
             messages.POINTS_TABLE,
             column=name,
-            lines=rows,
+            lines=lines,
         )
-    return given, values
+    return points, values
 
 
 def _points_of_text(
     path: Path, columns: Mapping[str, str], key: str
 ) -> tuple[pa.StringArray, dict[str, Array]]:
-    """Names, and the other columns by quantity, of a table that is text."""
+    """As `read_object_points`, of a text table; names may occur twice."""
     text = text_table(path, columns, codes=_CODES, key=key)
     lines = text.index.to_numpy()
     code = messages.POINTS_TABLE
