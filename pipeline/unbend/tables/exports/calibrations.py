@@ -211,7 +211,7 @@ def correction_sample(
     u, v, covered = calibrated.rays(*rows[CORRECTED])
     rows = rows[:, covered]
     is_node = is_node[covered]
-    node_weight = _NODES_WEIGHT / is_node.sum()
+    node_weight = _NODES_WEIGHT / max(1, is_node.sum())
     observation_weight = 1.0 / max(1, (~is_node).sum())
     weight = np.where(is_node, node_weight, observation_weight)
     height_m = run.exposures.height_m[rows[STATION].astype(int)]
