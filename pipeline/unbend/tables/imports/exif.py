@@ -14,7 +14,6 @@ import exifread
 import numpy as np
 import pandas as pd
 from exifread.core.exceptions import ExifError
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from unbend.flight import rotations
@@ -27,7 +26,7 @@ from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.imports.xmp import dji_tags
 from unbend.tables.text_columns import whole_table
-from unbend.units import LARGEST_HEIGHT_M, Integers, Names
+from unbend.units import LARGEST_HEIGHT_M, Array, Integers, Names
 from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, height_of
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
@@ -67,9 +66,9 @@ class ImageTimes:
 
     file: Names
     time_ns: Integers
-    sigma_s: NDArray[np.float64]
+    sigma_s: Array
     is_utc: bool
-    position: NDArray[np.float64]
+    position: Array
     clock_sigma_s: float = np.inf
 
     def rows_of(self, images: Iterable[str]) -> dict[str, int]:
@@ -191,12 +190,7 @@ def _stamps_in_utc(
     return in_utc
 
 
-def _report_without_time(
-    path: Path,
-    files: Sequence[str],
-    total: int,
-    ledger: Ledger,
-) -> None:
+def _report_without_time(path: Path, files: Sequence[str], total: int, ledger: Ledger) -> None:
     """Report a loss for images (``files``) without a time, of ``total`` images."""
     if not files:
         return
@@ -212,12 +206,7 @@ def _report_without_time(
     ledger.add(lost)
 
 
-def _steps_of_clock(
-    path: Path,
-    time_ns: Integers,
-    step_s: NDArray[np.float64],
-    ledger: Ledger,
-) -> NDArray[np.float64]:
+def _steps_of_clock(path: Path, time_ns: Integers, step_s: Array, ledger: Ledger) -> Array:
     """(m,) the steps [s] in which the camera's clock counts; whole seconds are reported.
 
     They are ``step_s``, the steps of the texts, or 1 s where the fraction of a second is the same
@@ -307,9 +296,7 @@ class TagReader:
             ledger.add(lost)
 
 
-def positions_of_tags(
-    tags: Mapping[str, Mapping[str, str]], where: Path, ledger: Ledger
-) -> NDArray[np.float64]:
+def positions_of_tags(tags: Mapping[str, Mapping[str, str]], where: Path, ledger: Ledger) -> Array:
     """(m, 3) latitude, longitude [rad] and height as written [m] of the images, in their order.
 
     ``tags`` are texts by image and tag, ``where`` is their source in messages. A row without a
@@ -331,12 +318,7 @@ def positions_of_tags(
     return positions
 
 
-def _angle_of_tags(
-    reader: TagReader,
-    file: str,
-    tags: Mapping[str, str],
-    axis: str,
-) -> float:
+def _angle_of_tags(reader: TagReader, file: str, tags: Mapping[str, str], axis: str) -> float:
     """The ``latitude`` or ``longitude`` of an image as its tags state it [deg]; NaN if unknown."""
     angle = partial(
         angle_of,
@@ -384,20 +366,17 @@ def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> Orie
 _QUARTER_TURN = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
 
 
-def rpy_of_gimbal(gimbal: NDArray[np.float64]) -> NDArray[np.float64]:
+def rpy_of_gimbal(gimbal: Array) -> Array:
     """(n, 3) roll, pitch, yaw [rad] of a body on which the camera looks down, from a gimbal's."""
     return _rpy_turned_by(_QUARTER_TURN, gimbal)
 
 
-def gimbal_of_rpy(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def gimbal_of_rpy(angles: Array) -> Array:
     """(n, 3) roll, pitch, yaw [rad] of a gimbal; inverse of `rpy_of_gimbal`."""
     return _rpy_turned_by(_QUARTER_TURN.T, angles)
 
 
-def _rpy_turned_by(
-    rotation: NDArray[np.float64],
-    angles: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _rpy_turned_by(rotation: Array, angles: Array) -> Array:
     """(n, 3) roll, pitch, yaw [rad] of bodies with ``angles`` (n, 3) after a further rotation.
 
     ``rotation`` (3, 3) leads from the axes of the turned body to those of the body.
@@ -455,11 +434,7 @@ def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
 def _read_exif(path: Path) -> dict[str, Any]:
     """The tags of an image's EXIF; raises one of `_ERRORS_OF_DAMAGE` for a damaged file."""
     with path.open("rb") as file:
-        tags: dict[str, Any] = exifread.process_file(
-            file,
-            details=False,
-            extract_thumbnail=False,
-        )
+        tags: dict[str, Any] = exifread.process_file(file, details=False, extract_thumbnail=False)
     return tags
 
 
