@@ -57,11 +57,10 @@ _ZONE_PROOF_PART = 0.9  # part of the images that must agree
 class ImageTimes:
     """Images that exist, (m,): paths with slashes, and the times of their camera's clock.
 
-    ``time_ns`` is local time counted as though it were UTC where ``is_utc`` is False; `NO_TIME`
-    where an image has none. ``sigma_s`` (m,) is half of the step in which the clock counts;
-    ``clock_sigma_s`` is the standard deviation of the clock itself, infinite except for times of a
-    GPS receiver. ``position`` (m, 3) is latitude, longitude [rad] and the height as written [m],
-    NaN where an image has none.
+    ``time_ns`` is local time counted as though it were UTC where ``is_utc`` is False; `NO_TIME` if
+    unknown. ``sigma_s`` (m,) is half of the step in which the clock counts; ``clock_sigma_s`` is
+    that of the clock itself, infinite except for times of a GPS receiver. ``position`` (m, 3) is
+    latitude, longitude [rad] and the height as written [m], NaN if unknown.
     """
 
     file: Names
@@ -190,7 +189,12 @@ def _stamps_in_utc(
     return in_utc
 
 
-def _report_without_time(path: Path, files: Sequence[str], total: int, ledger: Ledger) -> None:
+def _report_without_time(
+    path: Path,
+    files: Sequence[str],
+    total: int,
+    ledger: Ledger,
+) -> None:
     """Report a loss for images (``files``) without a time, of ``total`` images."""
     if not files:
         return
@@ -434,7 +438,11 @@ def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
 def _read_exif(path: Path) -> dict[str, Any]:
     """The tags of an image's EXIF; raises one of `_ERRORS_OF_DAMAGE` for a damaged file."""
     with path.open("rb") as file:
-        tags: dict[str, Any] = exifread.process_file(file, details=False, extract_thumbnail=False)
+        tags: dict[str, Any] = exifread.process_file(
+            file,
+            details=False,
+            extract_thumbnail=False,
+        )
     return tags
 
 

@@ -80,7 +80,10 @@ def read_images(path: Path) -> OrientationTable:
     return replace(table, frame="ecef" if is_on_wgs84(reference) else datum_of(reference))
 
 
-def _names_of_sensors(chunk: ElementTree.Element, cameras: list[ElementTree.Element]) -> list[str]:
+def _names_of_sensors(
+    chunk: ElementTree.Element,
+    cameras: list[ElementTree.Element],
+) -> list[str]:
     """(n,) the name of each camera's sensor; empty for a sensor that the chunk does not have."""
     sensors = _sensors(chunk)
     names = []
@@ -316,10 +319,7 @@ def _master_from_sensor(sensor: ElementTree.Element) -> Array:
 
 
 def _components(cameras: list[ElementTree.Element]) -> dict[str, str | None]:
-    """Id of a camera -> id of its component, None without.
-
-    A slave camera without a transform is in the component of its master.
-    """
+    """Id of a camera -> id of its component or None; that of its master for a slave without."""
     component_ids = {camera.get("id", ""): camera.get("component_id") for camera in cameras}
     components = {}
     for camera in cameras:
