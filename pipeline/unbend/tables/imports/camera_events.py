@@ -6,7 +6,7 @@ antenna to the camera north, east and downwards [mm], latitude, longitude [deg],
 call the position that "after compensation": it is the camera's.
 
 POSPac's text has one line an event, after a header that names the columns, among them ``TIME (s)``,
-``ELLIPSOID HEIGHT`` or ``ORTHOMETRIC HEIGHT``, ``LAT`` and ``LONG``; the line of units says ``lat,
+``ELLIPSOID HEIGHT`` or ``ORTHOMETRIC HEIGHT``, ``LAT`` and ``LONG``; the line of units has ``lat,
 long in Deg`` and ``orientation in Degrees``, that of the grid ``Zone:  UTM North 32``.
 """
 

@@ -53,7 +53,7 @@ EVENTS_TIME = Code(
 
 
 def events_without_time(*, where: str, count: int, line: int) -> Message:
-    """Rows of a table of exposures whose time cannot be read; ``line`` is that of the first."""
+    """Rows of a table of exposures have no readable time; ``line`` is that of the first."""
     return loss(
         EVENTS_TIME,
         "{count} rows have no readable or possible time, the first in line {line}",
@@ -94,7 +94,7 @@ EXIF_UNREADABLE = Code(
 
 
 def exif_unreadable(*, where: str, count: int, examples: str) -> Message:
-    """Files whose EXIF is damaged."""
+    """Some files have damaged EXIF or XMP."""
     return loss(
         EXIF_UNREADABLE,
         "the EXIF or XMP of {count} files cannot be read: {examples}",

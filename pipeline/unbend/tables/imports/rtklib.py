@@ -19,7 +19,7 @@ from unbend.tables.imports.stated import Stated, channel_of_rows, read_text
 from unbend.tables.text_columns import numbers, split_lines, utc_of_dates, utc_of_weeks
 from unbend.units import Array, Mask
 
-# A single-point fix (Q 5) is not better than these, whatever its formal sigma says.
+# The error of a single-point fix (Q 5) is at least this, also where its formal sigma is smaller.
 SINGLE_SIGMA_H_M = 2.5
 SINGLE_SIGMA_V_M = 5.0
 _SEPARATOR = r"[\s,;]+"
