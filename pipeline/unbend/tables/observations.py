@@ -17,7 +17,7 @@ from unbend.tables import messages
 from unbend.tables.delimited import scan_csv
 from unbend.tables.geodata.object_points import ObjectPoints
 from unbend.tables.imports.blocks import BLOCKS
-from unbend.tables.imports.blocks.image_points import of_points
+from unbend.tables.imports.blocks.image_points import rows_with_point
 from unbend.tables.measured_columns import at_least_zero, measured_floats
 from unbend.tables.name_hashes import hashes_of
 from unbend.tables.observation_files import OpenedTable, Records, csv_records, in_memory, open_file
@@ -168,7 +168,7 @@ class Observations:
             point = self.columns["point"]
             if not self.is_block:
                 return chosen(hashes_of(records[point].cast(pa.string())))
-            tied = of_points(records, self.columns["image"], point)
+            tied = rows_with_point(records, self.columns["image"], point)
             if tied.size == 0:
                 return tied
             return tied[chosen(hashes_of(records[point].take(tied)))]
@@ -430,7 +430,7 @@ def _scan_of_names(
     for batch in opened.records(_SCANNED_ROWS, only, 0):
         rows += batch.num_rows
         if is_block:
-            tied = of_points(batch, named["image"], named["point"])
+            tied = rows_with_point(batch, named["image"], named["point"])
             has_points = has_points or tied.size > 0
             points = batch.column(1).take(tied).to_pandas()
             for point in points[points.duplicated()]:

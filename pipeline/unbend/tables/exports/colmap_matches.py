@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from unbend.tables.exports.exported_block import ExportedBlock
 from unbend.tables.imports.blocks import damage_refused
-from unbend.tables.imports.blocks.colmap import opened
+from unbend.tables.imports.blocks.colmap import open_database
 from unbend.tables.imports.blocks.messages import matches_cut
 from unbend.units import Integers
 
@@ -53,7 +53,7 @@ def copied_rows(block: ExportedBlock, source: Path) -> Iterator[Row]:
     Refuses (InputError IMPORT-FORMAT) a database without these tables, and matches cut short.
     """
     copied = _copied_images(block)
-    with damage_refused(source, "colmap"), closing(opened(source)) as database:
+    with damage_refused(source, "colmap"), closing(open_database(source)) as database:
         for table in ("matches", "two_view_geometries"):
             for pair in _pairs_read(database, source, table):
                 if pair.first in copied and pair.second in copied:

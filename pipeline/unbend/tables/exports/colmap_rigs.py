@@ -17,7 +17,7 @@ from unbend.messages import Ledger
 from unbend.tables.exports import messages
 from unbend.tables.exports.exported_block import ExportedBlock
 from unbend.tables.imports.blocks import damage_refused
-from unbend.tables.imports.blocks.colmap import opened
+from unbend.tables.imports.blocks.colmap import open_database
 
 CAMERA_SENSOR = 0  # other sensors of a rig are inertial
 
@@ -88,7 +88,7 @@ def rig_tables(
     camera_of_image = dict(enumerate((block.camera + 1).tolist(), 1))
     in_frames: set[int] = set()
     if source is not None:
-        with damage_refused(source, "colmap"), closing(opened(source)) as database:
+        with damage_refused(source, "colmap"), closing(open_database(source)) as database:
             if has_rig_tables(database):
                 in_frames = copy_rigs(block, database, tables, ledger)
     for camera in range(1, len(block.cameras) + 1):

@@ -1,6 +1,6 @@
 """Files of other programs that are read: trajectories, camera events, orientations, by format.
 
-A new format is a module beside this one, and its reader in `TRAJECTORIES`, `CAMERA_EVENTS` or
+A new format is a module next to this one, and its reader in `TRAJECTORIES`, `CAMERA_EVENTS` or
 `ORIENTATIONS`: a function of the path, what the mission file states, and the ledger, that returns a
 channel, or an `OrientationTable`.
 """
@@ -13,7 +13,7 @@ from typing import Any
 from unbend.tables.imports import messages
 
 Registry = Mapping[str, tuple[str, tuple[str, ...]]]
-"""Where the reader of a format is, imported when a file is read; endings by which it is known."""
+"""Format -> its reader as ``module:function``, imported when a file is read, and its endings."""
 
 TRAJECTORIES: Registry = {
     "rtklib": ("unbend.tables.imports.rtklib:read_pos", (".pos",)),
@@ -35,15 +35,19 @@ ORIENTATIONS: Registry = {
 """Readers of positions and attitudes of images: a table, or the images of a folder themselves."""
 
 
-def format_of(readers: Registry, path: Path, name: str | None) -> str:
-    """The format of a file, stated or by its ending.
+def format_of(readers: Registry, path: Path, stated_format: str | None) -> str:
+    """The format of a file: ``stated_format``, or without that the format with the file's ending.
+
+    Refuses (InputError) a file without a stated format that has an unknown ending or none.
 
     >>> format_of(CAMERA_EVENTS, Path("100_0001_Timestamp.MRK"), None)
     'mrk'
     """
     all_endings: list[str] = []
     for format_name, (_, endings) in readers.items():
-        if format_name == name or (name is None and path.suffix.lower() in endings):
+        is_stated = format_name == stated_format
+        has_ending = stated_format is None and path.suffix.lower() in endings
+        if is_stated or has_ending:
             return format_name
         all_endings += endings
     known_endings = ", ".join(all_endings)
@@ -58,6 +62,7 @@ def format_of(readers: Registry, path: Path, name: str | None) -> str:
     )
 
 
-def reader_of(readers: Registry, path: Path, name: str | None) -> Any:
-    """The reader of a file whose format is stated, or said by its ending."""
-    return resolve_name(readers[format_of(readers, path, name)][0])
+def reader_of(readers: Registry, path: Path, stated_format: str | None) -> Any:
+    """Import the function that reads a file of the stated format, or of that of its ending."""
+    reader_name, _ = readers[format_of(readers, path, stated_format)]
+    return resolve_name(reader_name)

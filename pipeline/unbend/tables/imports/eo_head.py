@@ -1,4 +1,4 @@
-"""What the head of POSPac's exterior orientation says of its rows: units, grid, order, shift.
+"""The head of POSPac's exterior orientation: units, grid, order of rotations and shift of its rows.
 
 The sequence of the rotations leads from the mapping frame to the image: the first rotation is the
 primary one. The angles are those of the image as written, a cardinal rotation of kappa included.
@@ -19,33 +19,33 @@ _ROTATION = re.compile(
     re.IGNORECASE,
 )
 _CARDINAL = re.compile(rf"kappa cardinal rotation\s*[:=]\s*({_NUMBER})", re.IGNORECASE)
-_UNIT_OF_SHIFT = r"\W{0,9}m?\W{1,9}"  # bounded: it may be parted in every way
+_UNIT_OF_SHIFT = r"\W{0,9}m?\W{1,9}"  # bounded: a long run of blanks would take very long
 _SHIFT = re.compile(
     rf"shift values?\s*[:=]?\s*X\s*=\s*({_NUMBER}){_UNIT_OF_SHIFT}"
     rf"Y\s*=\s*({_NUMBER}){_UNIT_OF_SHIFT}Z\s*=\s*({_NUMBER})",
     re.IGNORECASE,
 )
-_BLANKS = re.compile(r"\s{2,}")  # of which patterns would try every part
+_BLANKS = re.compile(r"\s{2,}")  # long runs would make the patterns slow
 
 AXIS_OF_ANGLE = {"omega": "x", "phi": "y", "kappa": "z"}
 ORDERS = ("omega_phi_kappa", "phi_omega_kappa")
-UTM_NORTH = 32600  # EPSG's codes of the zones of UTM on WGS 84, and those of the south
-UTM_SOUTH = 32700
+UTM_NORTH = 32600  # plus the zone: EPSG's code of UTM on WGS 84
+UTM_SOUTH = 32700  # the same of the southern hemisphere
 
 
 @dataclass(frozen=True)
 class EoHead:
-    """What the head says, None or 0 where it says nothing.
+    """Statements of the head; None, 0 or empty text where it has none.
 
-    radians : size of the unit of the angles [rad].
-    grid : the projected coordinate system of easting, northing and the angles.
-    rotations : the order of the rotations in words, as it stands there: axis and angle of each.
-    order : that order, if it is one of `ORDERS`; that of omega, phi, kappa if none stands there.
+    unit_rad : size of the unit of the angles [rad].
+    grid : EPSG code of the projected coordinate system of easting, northing and the angles.
+    rotations : the order of the rotations as the head states it: angle and axis of each, in words.
+    order : that order as one of `ORDERS`, None if it is another; omega, phi, kappa if not stated.
     cardinal_deg : the rotation that was added to kappa [deg].
-    shift_m : (3,) what was added to easting, northing and height [m].
+    shift_m : (3,) the shift that was added to easting, northing and height [m].
     """
 
-    radians: float | None
+    unit_rad: float | None
     grid: str | None
     rotations: str
     order: str | None
@@ -54,7 +54,7 @@ class EoHead:
 
 
 def head_of_eo(text: str) -> EoHead:
-    """Read the head of an exterior orientation.
+    """Read the head of an exterior orientation: the text above the titles of its columns.
 
     >>> head = head_of_eo("First rotation is about the 'y' axis by the 'phi' angle.\\n"
     ...     "Second rotation is about the 'x' axis by the 'omega' angle.\\n"
@@ -69,14 +69,14 @@ def head_of_eo(text: str) -> EoHead:
     rotations = [(axis.lower(), angle.lower()) for _, axis, angle in _ROTATION.findall(text)]
     order: str | None = ORDERS[0]
     if rotations:
-        fits = all(AXIS_OF_ANGLE.get(angle) == axis for axis, angle in rotations)
+        has_usual_axes = all(AXIS_OF_ANGLE.get(angle) == axis for axis, angle in rotations)
         order = "_".join(angle for _, angle in rotations)
-        order = order if fits and order in ORDERS else None
+        order = order if has_usual_axes and order in ORDERS else None
     cardinal = _CARDINAL.search(text)
     shift = _SHIFT.search(text)
     return EoHead(
-        radians=None if unit is None else _radians(unit[1]),
-        grid=None if zone is None else _grid(zone[1], int(zone[2])),
+        unit_rad=None if unit is None else _size_of_unit_rad(unit[1]),
+        grid=None if zone is None else _epsg_of_utm(zone[1], int(zone[2])),
         rotations=", ".join(f"{angle} about {axis}" for axis, angle in rotations),
         order=order,
         cardinal_deg=0.0 if cardinal is None else float(cardinal[1]),
@@ -84,10 +84,12 @@ def head_of_eo(text: str) -> EoHead:
     )
 
 
-def _radians(unit: str) -> float:
+def _size_of_unit_rad(unit: str) -> float:
+    """The size [rad] of deg, rad, grad or gon, by its first letter."""
     return {"d": RADIANS["deg"], "r": RADIANS["rad"], "g": RADIANS["grad"]}[unit[0].lower()]
 
 
-def _grid(hemisphere: str, zone: int) -> str:
+def _epsg_of_utm(hemisphere: str, zone: int) -> str:
+    """The EPSG code of a zone of UTM on WGS 84; ``hemisphere`` is North or South in any case."""
     first = UTM_SOUTH if hemisphere.lower() == "south" else UTM_NORTH
     return f"EPSG:{first + zone}"

@@ -14,7 +14,6 @@ import exifread
 import numpy as np
 import pandas as pd
 from exifread.core.exceptions import ExifError
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from unbend.flight import rotations
@@ -27,13 +26,13 @@ from unbend.tables.imports.stated import Stated
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.imports.xmp import dji_tags
 from unbend.tables.text_columns import whole_table
-from unbend.units import LARGEST_HEIGHT_M, Integers, Names
+from unbend.units import LARGEST_HEIGHT_M, Array, Integers, Names
 from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, height_of
 
 ENDINGS = ".3fr .arw .cr2 .cr3 .dng .heic .iiq .jpeg .jpg .nef .orf .raf .rw2 .tif .tiff"
 
 _MOST_EXAMPLES = 3  # of images that a message names
-_OF_DAMAGE = (
+_ERRORS_OF_DAMAGE = (
     ExifError,
     LookupError,
     ValueError,
@@ -46,45 +45,46 @@ _OF_DAMAGE = (
     MemoryError,
     struct.error,
 )
-"""What exifread raises on damaged files, by 41,000 of them, and what it reads them with."""
+"""Errors that exifread and its libraries raised on 41,000 damaged files."""
 
 _RECEIVER_SIGMA_S = 2.0  # a receiver's stamp may be some seconds old
-_QUARTER_S = 900  # the zones of the world are quarters of an hour apart
-_ZONE_PROOF_S = 120.0  # nearer to a quarter of an hour a difference is that of a zone
-_ZONE_PROOF_PART = 0.9  # of the images, in which it must be
+_ZONE_STEP_S = 900  # the zones of the world differ by quarters of an hour
+_ZONE_PROOF_S = 120.0  # a difference this near to a step of zones may be that of a zone
+_ZONE_PROOF_PART = 0.9  # part of the images that must agree
 
 
 @dataclass(frozen=True, eq=False)
 class ImageTimes:
     """Images that exist, (m,): paths with slashes, and the times of their camera's clock.
 
-    ``time_ns`` counts local time as though it were UTC where ``is_utc`` is False; `NO_TIME` where
-    an image has none. ``sigma_s`` is half of the step in which the clock counts; ``clock_sigma_s``
-    that of the clock itself, infinite but for times of a GPS receiver. ``position`` (m, 3) is
-    latitude, longitude [rad] and the height as written [m], NaN where an image has none.
+    ``time_ns`` is local time counted as though it were UTC where ``is_utc`` is False; `NO_TIME` if
+    unknown. ``sigma_s`` (m,) is half of the step in which the clock counts; ``clock_sigma_s`` is
+    that of the clock itself, infinite except for times of a GPS receiver. ``position`` (m, 3) is
+    latitude, longitude [rad] and the height as written [m], NaN if unknown.
     """
 
     file: Names
     time_ns: Integers
-    sigma_s: NDArray[np.float64]
+    sigma_s: Array
     is_utc: bool
-    position: NDArray[np.float64]
+    position: Array
     clock_sigma_s: float = np.inf
 
     def rows_of(self, images: Iterable[str]) -> dict[str, int]:
-        """The row of each image that has one, whatever the ending of its file.
+        """The row of each image that is among the files; images without a file are left out.
 
-        An image is known by its name, and by its folders as far as both state them. Refuses
-        (InputError IMAGES-DUPLICATE) a name that stands in two folders.
+        Name and file may differ in their ending, and in folders that only one of the two states.
+        Refuses (InputError IMAGES-DUPLICATE) an image that may be one of two files.
         """
-        parts = [_parts(str(file)) for file in self.file]
+        paths = [_folders_and_name(str(file)) for file in self.file]
         rows_of_name: dict[str, list[int]] = defaultdict(list)
-        for row, parts_of_row in enumerate(parts):
-            rows_of_name[parts_of_row[-1]].append(row)
+        for row, path in enumerate(paths):
+            rows_of_name[path[-1]].append(row)
         row_of_image = {}
         for image in images:
-            wanted = _parts(image)
-            rows = [row for row in rows_of_name.get(wanted[-1], ()) if _agree(parts[row], wanted)]
+            image_path = _folders_and_name(image)
+            same_name = rows_of_name.get(image_path[-1], ())
+            rows = [row for row in same_name if _may_be_same_file(paths[row], image_path)]
             if len(rows) > 1:
                 first, second = self.file[rows[:2]]
                 raise messages.images_duplicate(
@@ -98,27 +98,27 @@ class ImageTimes:
         return row_of_image
 
 
-def _agree(path: tuple[str, ...], other: tuple[str, ...]) -> bool:
-    """Whether two paths have the same name, and the same folders as far as both state them."""
+def _may_be_same_file(path: tuple[str, ...], other: tuple[str, ...]) -> bool:
+    """Whether two paths end alike: the same name, and the same folders as far as both have any."""
     from_name = zip(reversed(path), reversed(other), strict=False)
     return all(part == other_part for part, other_part in from_name)
 
 
-def _parts(path: str) -> tuple[str, ...]:
-    """Folders and name without ending, in one case, of composed characters."""
+def _folders_and_name(path: str) -> tuple[str, ...]:
+    """A path as folders and name, without ending, in lower case and with composed characters."""
     pure = PurePosixPath(composed(path).replace("\\", "/").casefold())
     return tuple(part for part in pure.with_suffix("").parts if part not in ("/", "."))
 
 
 def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
-    """Times of the images in a folder and those below it, or of the rows of exiftool's CSV.
+    """Read the times of the images in a folder and its subfolders, or in a CSV of exiftool.
 
     ``zone`` is the UTC offset of the camera's clock, such as +02:00 or UTC; "" if not stated.
 
     A time is taken from, in this order: drone-dji:UTCAtExposure; GPS week and seconds; a Unix or
     ISO time (time_utc); DateTimeOriginal with its SubSecTime and OffsetTime; DateTimeDigitized; the
-    GPS stamp. The date of a file's last change is no time of an exposure. A time zone is inferred
-    only where the GPS stamps of the same images prove it. Images without a time are losses.
+    GPS stamp. The date of a file's last change is not used. A time zone is inferred only where the
+    GPS stamps of the same images prove it. Images without a time are losses.
     """
     tags = read_tags(path, ledger)
     files = sorted(tags)
@@ -128,11 +128,12 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
         if stamp is not None:
             stamps[file] = stamp
     stamps |= _stamps_in_utc(path, tags, stamps, ledger)
-    # A local time among times in UTC would be hours off: it is no time of the same clock.
-    is_utc = 2 * sum(stamp.is_utc for stamp in stamps.values()) > len(stamps)
+    # The majority decides: a local time among times in UTC would be hours off.
+    count_utc = sum(stamp.is_utc for stamp in stamps.values())
+    is_utc = 2 * count_utc > len(stamps)
     time_ns = np.full(len(files), NO_TIME, np.int64)
     step_s = np.full(len(files), np.nan)
-    by_gps = True
+    all_by_gps = True
     without_time = []
     for row, file in enumerate(files):
         stamp = stamps.get(file)
@@ -141,7 +142,7 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
             continue
         time_ns[row] = stamp.time_ns
         step_s[row] = stamp.step_s
-        by_gps = by_gps and stamp.by_gps
+        all_by_gps = all_by_gps and stamp.by_gps
     _report_without_time(path, without_time, len(files), ledger)
     step_s = _steps_of_clock(path, time_ns, step_s, ledger)
     return ImageTimes(
@@ -150,7 +151,7 @@ def read_image_times(path: Path, zone: str, ledger: Ledger) -> ImageTimes:
         sigma_s=np.maximum(step_s / 2.0, 1e-3),
         is_utc=is_utc,
         position=positions_of_tags({file: tags[file] for file in files}, path, ledger),
-        clock_sigma_s=_RECEIVER_SIGMA_S if by_gps else np.inf,
+        clock_sigma_s=_RECEIVER_SIGMA_S if all_by_gps else np.inf,
     )
 
 
@@ -160,7 +161,11 @@ def _stamps_in_utc(
     stamps: Mapping[str, Stamp],
     ledger: Ledger,
 ) -> dict[str, Stamp]:
-    """The local times of images in UTC, where the receiver's stamps prove the zone; else none."""
+    """The local ``stamps`` converted to UTC, by image; empty if their zone is not proved.
+
+    The zone is the median difference from the GPS receiver's stamps of the same images. It is
+    proved if nearly all differences are near it. ``tags`` and ``stamps`` are by image.
+    """
     local = {file: stamp for file, stamp in stamps.items() if not stamp.is_utc}
     ahead_ns = []
     for file, stamp in local.items():
@@ -170,10 +175,10 @@ def _stamps_in_utc(
     if not ahead_ns:
         return {}
     ahead_s = np.array(ahead_ns) / 1e9
-    quarters = int(np.round(np.median(ahead_s) / _QUARTER_S))
-    zone_s = quarters * _QUARTER_S
-    agreeing = float(np.mean(np.abs(ahead_s - zone_s) < _ZONE_PROOF_S))
-    if agreeing <= _ZONE_PROOF_PART or abs(zone_s) > FARTHEST_ZONE_S:
+    steps = int(np.round(np.median(ahead_s) / _ZONE_STEP_S))
+    zone_s = steps * _ZONE_STEP_S
+    part_agreeing = float(np.mean(np.abs(ahead_s - zone_s) < _ZONE_PROOF_S))
+    if part_agreeing <= _ZONE_PROOF_PART or abs(zone_s) > FARTHEST_ZONE_S:
         return {}
     hours = zone_s / 3600
     ledger.add(messages.zone_of_camera(where=path.name, count=len(ahead_ns), hours=hours))
@@ -190,7 +195,7 @@ def _report_without_time(
     total: int,
     ledger: Ledger,
 ) -> None:
-    """A loss for images without a time."""
+    """Report a loss for images (``files``) without a time, of ``total`` images."""
     if not files:
         return
     examples = ", ".join(files[:_MOST_EXAMPLES])
@@ -205,15 +210,11 @@ def _report_without_time(
     ledger.add(lost)
 
 
-def _steps_of_clock(
-    path: Path,
-    time_ns: Integers,
-    step_s: NDArray[np.float64],
-    ledger: Ledger,
-) -> NDArray[np.float64]:
-    """(m,) steps [s] in which the clock of the images counts; whole seconds are reported.
+def _steps_of_clock(path: Path, time_ns: Integers, step_s: Array, ledger: Ledger) -> Array:
+    """(m,) the steps [s] in which the camera's clock counts; whole seconds are reported.
 
-    Some cameras write 00 for the fraction of every second: then it counts whole ones.
+    They are ``step_s``, the steps of the texts, or 1 s where the fraction of a second is the same
+    in all images: some cameras always write 00.
     """
     has_time = time_ns != NO_TIME
     fraction_ns = time_ns[has_time] % 10**9
@@ -225,11 +226,14 @@ def _steps_of_clock(
     return step_s
 
 
-_NAMES_OF_FILES = ("SourceFile", "FileName", "image")  # columns that are no numbers
+_NAMES_OF_FILES = ("SourceFile", "FileName", "image")  # columns that may name the image
 
 
 def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
-    """By image, its tags without their groups; refuses (InputError IMAGES-NONE) no images."""
+    """Image -> tag -> text, of the images in a folder or in a CSV of exiftool.
+
+    The tags have the names of `_tag_key`. Refuses (InputError IMAGES-NONE) a path without images.
+    """
     tags = _tags_of_folder(path, ledger) if path.is_dir() else _tags_of_csv(path)
     if not tags:
         raise messages.images_none(where=path, endings=ENDINGS)
@@ -237,11 +241,11 @@ def read_tags(path: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
 
 
 def _tags_of_csv(path: Path) -> dict[str, dict[str, str]]:
-    """The rows of exiftool's CSV by the image's file; empty without a column that names it."""
+    """Image -> tag -> text, of exiftool's CSV; empty without a column that names the images."""
     table = whole_table(path, messages.IMAGES_CSV, _NAMES_OF_FILES)
-    table.columns = pd.Index([_key(str(name)) for name in table.columns])
+    table.columns = pd.Index([_tag_key(str(name)) for name in table.columns])
     table = table.loc[:, ~table.columns.duplicated()]
-    keys = [_key(name) for name in _NAMES_OF_FILES]
+    keys = [_tag_key(name) for name in _NAMES_OF_FILES]
     file_column = next((key for key in keys if key in table), None)
     if file_column is None:
         return {}
@@ -255,12 +259,13 @@ def _tags_of_csv(path: Path) -> dict[str, dict[str, str]]:
 
 @dataclass
 class TagReader:
-    """Reads numbers and angles of the tags of images, and keeps what cannot be read.
+    """Reads numbers and angles of the tags of images, and counts texts that cannot be read.
 
-    unread : by tag, the first image and text that is neither, and how many there are.
+    count_read : number of values that were read.
+    unread : tag -> first image and its text that cannot be read, and the number of such images.
     """
 
-    read: int = 0
+    count_read: int = 0
     unread: dict[str, tuple[str, str, int]] = field(default_factory=dict)
 
     def value(
@@ -270,7 +275,10 @@ class TagReader:
         key: str,
         reader: Callable[[str], float],
     ) -> float:
-        """The value of a tag by a reader that raises ValueError; NaN where none can be read."""
+        """The value of the tag ``key`` of the image ``file``; NaN if it cannot be read.
+
+        ``reader`` converts the text ("" without the tag), and raises ValueError if it cannot.
+        """
         text = tags.get(key, "")
         try:
             value = reader(text)
@@ -278,13 +286,13 @@ class TagReader:
             first_file, first_text, count = self.unread.get(key, (file, text, 0))
             self.unread[key] = (first_file, first_text, count + 1)
             return np.nan
-        self.read += bool(np.isfinite(value))
+        self.count_read += bool(np.isfinite(value))
         return value
 
     def report(self, where: Path, ledger: Ledger) -> None:
-        """A loss for each tag that could not be read; refuses (IMAGES-TAG) if nothing could."""
+        """Report each tag with unreadable texts; refuses (IMAGES-TAG) if no value was read."""
         for key, (file, text, count) in self.unread.items():
-            if self.read == 0:
+            if self.count_read == 0:
                 raise messages.no_tag_readable(where=where, tag=key, image=file, value=text)
             lost = messages.tags_unreadable(
                 where=where.name, tag=key, count=count, image=file, value=text
@@ -292,13 +300,12 @@ class TagReader:
             ledger.add(lost)
 
 
-def positions_of_tags(
-    tags: Mapping[str, Mapping[str, str]], where: Path, ledger: Ledger
-) -> NDArray[np.float64]:
+def positions_of_tags(tags: Mapping[str, Mapping[str, str]], where: Path, ledger: Ledger) -> Array:
     """(m, 3) latitude, longitude [rad] and height as written [m] of the images, in their order.
 
-    A row is NaN, its height too, without a place, at 0, 0 or beyond the Earth's angles. A tag that
-    can be read in no way is a loss in the ledger.
+    ``tags`` are texts by image and tag, ``where`` is their source in messages. A row without a
+    place, at 0, 0, or with impossible angles is NaN, its height too. Tags that cannot be read are
+    reported.
     """
     reader = TagReader()
     positions = np.full((len(tags), 3), np.nan)
@@ -315,12 +322,7 @@ def positions_of_tags(
     return positions
 
 
-def _angle_of_tags(
-    reader: TagReader,
-    file: str,
-    tags: Mapping[str, str],
-    axis: str,
-) -> float:
+def _angle_of_tags(reader: TagReader, file: str, tags: Mapping[str, str], axis: str) -> float:
     """The ``latitude`` or ``longitude`` of an image as its tags state it [deg]; NaN if unknown."""
     angle = partial(
         angle_of,
@@ -331,12 +333,12 @@ def _angle_of_tags(
 
 
 def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> OrientationTable:
-    """Positions and attitudes that DJI writes into its images: the gimbal's roll, pitch and yaw.
+    """Read positions and attitudes that DJI writes into its images: the gimbal's roll, pitch, yaw.
 
-    They are those of the payload against north, east and down, its forward axis the optical one.
-    In the table they become those of a body on which the camera looks down, its top forward, so
-    that a mount has nothing but the boresight. What an image lacks is unknown. Refuses (InputError
-    IMAGES-NO-GIMBAL) images none of which has angles.
+    DJI's angles turn from north, east and down to the payload, with its forward axis along the
+    optical axis. In the table they become angles of a body on which the camera looks down, with the
+    top of the image forward, so that a mount has only the boresight. Missing tags are unknown.
+    Refuses (InputError IMAGES-NO-GIMBAL) images without any gimbal angles.
     """
     tags = read_tags(path, ledger)
     files = sorted(tags)
@@ -365,58 +367,62 @@ def read_gimbal_orientations(path: Path, stated: Stated, ledger: Ledger) -> Orie
     )
 
 
-_QUARTER = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+_QUARTER_TURN = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
 
 
-def rpy_of_gimbal(gimbal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 3) roll, pitch, yaw [rad] of a body in which the camera looks down, of a gimbal's."""
-    return _rpy_turned_by(_QUARTER, gimbal)
+def rpy_of_gimbal(gimbal: Array) -> Array:
+    """(n, 3) roll, pitch, yaw [rad] of a body on which the camera looks down, from a gimbal's."""
+    return _rpy_turned_by(_QUARTER_TURN, gimbal)
 
 
-def gimbal_of_rpy(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def gimbal_of_rpy(angles: Array) -> Array:
     """(n, 3) roll, pitch, yaw [rad] of a gimbal; inverse of `rpy_of_gimbal`."""
-    return _rpy_turned_by(_QUARTER.T, angles)
+    return _rpy_turned_by(_QUARTER_TURN.T, angles)
 
 
-def _rpy_turned_by(
-    turn: NDArray[np.float64],
-    angles: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """(n, 3) roll, pitch, yaw [rad] of bodies that are turned about their own axes (3, 3)."""
-    turned = rotations.ned_from_body(angles) @ turn
-    camera_from_ned = rotations.CAMERA_AT_REST @ turned.transpose(0, 2, 1)
+def _rpy_turned_by(rotation: Array, angles: Array) -> Array:
+    """(n, 3) roll, pitch, yaw [rad] of bodies with ``angles`` (n, 3) after a further rotation.
+
+    ``rotation`` (3, 3) leads from the axes of the turned body to those of the body.
+    """
+    ned_from_turned = rotations.ned_from_body(angles) @ rotation
+    camera_from_ned = rotations.CAMERA_AT_REST @ ned_from_turned.transpose(0, 2, 1)
     camera = rotations.quaternions_of(camera_from_ned)
     against_enu = rotations.in_turned_frame(camera, rotations.NED_FROM_ENU)
     return rotations.rpy_of_quaternion(against_enu)
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The images in a folder and those below it, by their ending, sorted."""
+    """The images in a folder and its subfolders, recognised by their ending, sorted."""
     endings = ENDINGS.split()
     files = [path for path in folder.rglob("*") if path.suffix.lower() in endings]
     return sorted(path for path in files if path.is_file())
 
 
 def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
-    """Tags of each image by its path in the folder; of a raw image and its JPEG only one."""
-    logging.getLogger("exifread").setLevel(logging.CRITICAL)  # what it finds is a loss below
+    """Image -> tag -> text; images are paths in the folder, with slashes.
+
+    Of files with the same name and different endings, such as raw image and JPEG, only the first is
+    read. Files that cannot be read have no tags, and are reported.
+    """
+    logging.getLogger("exifread").setLevel(logging.CRITICAL)  # its warnings are reported below
     tags: dict[str, dict[str, str]] = {}
     unreadable = []
-    names = set()
+    names_without_ending = set()
     for path in image_files(folder):
         name = path.relative_to(folder).as_posix()
-        if _parts(name) in names:
+        if _folders_and_name(name) in names_without_ending:
             continue
-        names.add(_parts(name))
+        names_without_ending.add(_folders_and_name(name))
         tags[name] = {}
         try:
             exif_tags = _read_exif(path)
-        except _OF_DAMAGE as error:
+        except _ERRORS_OF_DAMAGE as error:
             unreadable.append(f"{name} ({type(error).__name__}: {error})")
             continue
         tags[name] = _texts_of_exif(exif_tags)
         try:
-            tags[name] |= {_key(key): text for key, text in dji_tags(path).items()}
+            tags[name] |= {_tag_key(key): text for key, text in dji_tags(path).items()}
         except (ValueError, OSError) as error:
             unreadable.append(f"{name} ({error})")
     if unreadable:
@@ -430,7 +436,7 @@ def _tags_of_folder(folder: Path, ledger: Ledger) -> dict[str, dict[str, str]]:
 
 
 def _read_exif(path: Path) -> dict[str, Any]:
-    """The tags of an image's EXIF; raises `_OF_DAMAGE` for damaged files."""
+    """The tags of an image's EXIF; raises one of `_ERRORS_OF_DAMAGE` for a damaged file."""
     with path.open("rb") as file:
         tags: dict[str, Any] = exifread.process_file(
             file,
@@ -441,15 +447,15 @@ def _read_exif(path: Path) -> dict[str, Any]:
 
 
 def _texts_of_exif(tags: Mapping[str, Any]) -> dict[str, str]:
-    """What the tags of an EXIF say, by their names without their groups."""
-    texts = {_key(key): str(value) for key, value in tags.items()}
+    """The texts of the tags of an EXIF, by the names of `_tag_key`."""
+    texts = {_tag_key(key): str(value) for key, value in tags.items()}
     if "GPS GPSTimeStamp" in tags:
         texts["gpstimestamp"] = _time_of_day(tags["GPS GPSTimeStamp"].values)
     return texts
 
 
 def _time_of_day(rationals: Sequence[object]) -> str:
-    """Hours, minutes and seconds of a GPSTimeStamp as text; empty where one is undefined, 0/0.
+    """Hours, minutes and seconds of a GPSTimeStamp as text; empty if one of them is undefined, 0/0.
 
     >>> from exifread.utils import Ratio
     >>> _time_of_day([Ratio(10, 1), Ratio(5, 1), Ratio(61, 2)]), _time_of_day([Ratio(0, 0)] * 3)
@@ -469,22 +475,26 @@ def _time_of_day(rationals: Sequence[object]) -> str:
     text = f"{int(hour):02d}:{int(minute):02d}:{second:09.6f}"
     if second % 1:
         return text.rstrip("0").rstrip(".")
-    return text[:8]
+    return text[:8]  # whole seconds
 
 
-def _key(name: str) -> str:
-    """A tag's name without its group: of EXIF:DateTimeOriginal, GPS GPSDate or time_utc."""
+def _tag_key(name: str) -> str:
+    """A tag's name without its group, in lower case, with letters and digits alone.
+
+    >>> _tag_key("EXIF:DateTimeOriginal"), _tag_key("GPS GPSDate"), _tag_key("time_utc")
+    ('datetimeoriginal', 'gpsdate', 'timeutc')
+    """
     without_group = re.split(r"[: ]", name)[-1]
     return re.sub(r"[^a-z0-9]", "", without_group.lower())
 
 
 def _height_of_tags(reader: TagReader, file: str, tags: Mapping[str, str]) -> float:
-    """The height of an image as its tags state it [m]; NaN where it is unknown."""
-    if tags.get("absolutealtitude"):  # DJI's has a sign of its own
+    """The height of an image as its tags state it [m]; NaN if unknown or impossible."""
+    if tags.get("absolutealtitude"):  # DJI's has a sign
         height = reader.value(file, tags, "absolutealtitude", height_of)
     else:
         height = reader.value(file, tags, "gpsaltitude", height_of)
-        reference = tags.get("gpsaltituderef", "0").lower()
+        reference = tags.get("gpsaltituderef", "0").lower()  # 1: below sea level
         if reference.startswith(("1", "below")):
             height = -abs(height)
     return np.nan if abs(height) > LARGEST_HEIGHT_M else height

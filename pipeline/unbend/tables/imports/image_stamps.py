@@ -11,7 +11,7 @@ from unbend.flight.clock import SECONDS_PER_WEEK, utc_of_gps
 from unbend.flight.survey_dates import can_be_flown
 from unbend.tables.text_columns import FIRST_WEEK_OF_SURVEYS
 
-LARGEST_WEEK = 9_999  # of GPS, in 2171: a larger number is no week, and would not fit into 64 bits
+LARGEST_WEEK = 9_999  # of GPS, in 2171: larger ones would not fit into 64 bits of nanoseconds
 _STAMP = re.compile(
     r"(\d{4})[:/-](\d\d)[:/-](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
 )
@@ -20,7 +20,11 @@ FARTHEST_ZONE_S = 14 * 3600
 
 
 class Stamp(NamedTuple):
-    """A moment [ns], the step in which it counts [s]; whether it is UTC, and a receiver's."""
+    """A time [Unix ns], and ``step_s``, the step [s] in which its text counts.
+
+    Without ``is_utc`` it is local time, counted as though it were UTC. ``by_gps``: the time is of a
+    GPS receiver, not of the camera's clock.
+    """
 
     time_ns: int
     step_s: float
@@ -29,12 +33,11 @@ class Stamp(NamedTuple):
 
 
 def parse_time(text: str, zone: str = "") -> Stamp | None:
-    """A time as EXIF, ISO 8601 or Unix seconds write it; None where it is none of them.
+    """Read a time as EXIF, ISO 8601 or Unix seconds write it; None for another text.
 
-    None also where no survey can have it: in the future, or of a clock that was never set.
-
-    ``zone`` is a UTC offset stated elsewhere, such as OffsetTimeOriginal. Without one the time is
-    local, and counted as though it were UTC.
+    None also for a time that is impossible for a survey: in the future, or of a clock that was
+    never set. ``zone`` is a UTC offset stated elsewhere, such as OffsetTimeOriginal, used where the
+    text has none; without any the time is local.
 
     >>> parse_time("2026:05:01 10:20:30.25", "+02:00")
     Stamp(time_ns=1777623630250000000, step_s=0.01, is_utc=True, by_gps=False)
@@ -55,8 +58,8 @@ def parse_time(text: str, zone: str = "") -> Stamp | None:
     else:
         return None
     ahead_s = _seconds_of_zone(offset)
-    is_no_zone = ahead_s is None and _ZONE.fullmatch(offset) is not None
-    if seconds is None or is_no_zone:
+    is_impossible_zone = ahead_s is None and _ZONE.fullmatch(offset) is not None
+    if seconds is None or is_impossible_zone:
         return None
     decimals = decimals[:9]
     seconds_utc = seconds - (ahead_s or 0)
@@ -68,7 +71,7 @@ def parse_time(text: str, zone: str = "") -> Stamp | None:
 
 
 def _seconds_of_date(date: re.Match[str]) -> int | None:
-    """A date and time of day as seconds since 1970, as though UTC; None if there is none such."""
+    """A match of `_STAMP` as seconds since 1970, as though UTC; None for an impossible date."""
     year, month, day = (int(date[group]) for group in (1, 2, 3))
     hour, minute, second = (int(date[group]) for group in (4, 5, 6))
     try:
@@ -90,7 +93,9 @@ _ZONE = re.compile(r"(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d)")
 
 
 def _seconds_of_zone(offset: str) -> int | None:
-    """How far a zone written as +05:30 is ahead of UTC [s]; None for what no zone on earth is.
+    """How far a zone written as +05:30 is ahead of UTC [s]; None for another text or size.
+
+    No zone on earth is more than 14 hours from UTC.
 
     >>> _seconds_of_zone("-0330"), _seconds_of_zone("+14:00"), _seconds_of_zone("+23:59")
     (-12600, 50400, None)
@@ -106,7 +111,7 @@ def _seconds_of_zone(offset: str) -> int | None:
 
 
 def _stamp_of_week(week: str, seconds: str) -> Stamp | None:
-    """The time of a GPS week and its seconds; None where no survey can have it."""
+    """The time of a GPS week and its seconds as text; None for other texts or impossible times."""
     is_week = re.fullmatch(r"\d{1,5}", week) is not None
     is_seconds = re.fullmatch(r"\d{1,6}(\.\d*)?", seconds) is not None
     if not (is_week and is_seconds):
@@ -126,7 +131,11 @@ def _stamp_of_week(week: str, seconds: str) -> Stamp | None:
 
 
 def time_of_tags(tags: Mapping[str, str], zone: str) -> Stamp | None:
-    """The time of an exposure, from the best of the tags that state one."""
+    """The time of an exposure by the best of its image's tags; None if no tag has a readable time.
+
+    The order is that of `read_image_times`. ``tags`` are texts by tag in lower case (`read_tags`).
+    ``zone`` is the UTC offset of the camera's clock, used where the tags state none; else "".
+    """
     dji = parse_time(tags.get("utcatexposure", ""), "UTC")
     if dji is not None:
         return dji._replace(by_gps=True)
@@ -158,7 +167,11 @@ def _text_and_zone(
     kind: str,
     zone: str,
 ) -> tuple[str, str]:
-    """A date with the fraction of its second, and its zone, by the tags of the same ``kind``."""
+    """The text of ``date`` with the fraction of its second, and its zone, from the image's tags.
+
+    ``kind`` is the ending of the tags that belong to this date: original or digitized. ``zone`` is
+    used where no tag states an offset.
+    """
     fraction = tags.get(f"subsectime{kind}", "").strip()
     if fraction.isdigit():
         date = re.sub(r"^(\S+[ T]\d\d:\d\d:\d\d)(?!\.)", rf"\g<1>.{fraction}", date.strip())
@@ -167,7 +180,7 @@ def _text_and_zone(
 
 
 def gps_stamp(tags: Mapping[str, str]) -> Stamp | None:
-    """The time of the receiver's fix, in UTC."""
+    """The time of the GPS receiver's fix by the tags of an image; None without a readable one."""
     date = tags.get("gpsdatestamp", "") or tags.get("gpsdate", "")
     stamp = parse_time(f"{date} {tags.get('gpstimestamp', '')}", "UTC")
     return None if stamp is None else stamp._replace(by_gps=True)

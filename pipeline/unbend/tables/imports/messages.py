@@ -53,7 +53,7 @@ EVENTS_TIME = Code(
 
 
 def events_without_time(*, where: str, count: int, line: int) -> Message:
-    """Rows of a table of exposures whose time cannot be read; ``line`` is that of the first."""
+    """Rows of a table of exposures have no readable time; ``line`` is that of the first."""
     return loss(
         EVENTS_TIME,
         "{count} rows have no readable or possible time, the first in line {line}",
@@ -73,7 +73,7 @@ EXIF_TIME = Code(
 
 
 def images_without_time(*, where: str, count: int, total: int, examples: str) -> Message:
-    """Images without a time of exposure, or with one of another clock than most."""
+    """Images without a time of exposure, or with a time of another clock than most images."""
     return loss(
         EXIF_TIME,
         "{count} of {total} have no time of exposure on the same clock: {examples}",
@@ -94,7 +94,7 @@ EXIF_UNREADABLE = Code(
 
 
 def exif_unreadable(*, where: str, count: int, examples: str) -> Message:
-    """Files whose EXIF is damaged."""
+    """Some files have damaged EXIF or XMP."""
     return loss(
         EXIF_UNREADABLE,
         "the EXIF or XMP of {count} files cannot be read: {examples}",
@@ -210,7 +210,7 @@ IMAGES_TAG = Code(
 
 
 def tags_unreadable(*, where: str, tag: str, count: int, image: str, value: str) -> Message:
-    """Some images have a tag that is neither a number nor an angle."""
+    """Some images have a tag that is neither a number nor an angle; ``image`` is the first."""
     return loss(
         IMAGES_TAG,
         "{count} images have a tag {tag} that cannot be read, the first {image}: {value!r}",
@@ -224,7 +224,7 @@ def tags_unreadable(*, where: str, tag: str, count: int, image: str, value: str)
 
 
 def no_tag_readable(*, where: Path | str, tag: str, image: str, value: str) -> InputError:
-    """No image has a tag of a kind that is a number or an angle."""
+    """In no image the tag is a number or an angle; ``image`` is the first with the tag."""
     return InputError(
         IMAGES_TAG,
         "no image has a tag {tag} that can be read; the first, {image}, has {value!r}",
@@ -283,7 +283,7 @@ IMPORT_CONTRADICTED = Code(
 
 
 def header_contradicted(*, where: str, key: str, found: str, stated: str) -> Message:
-    """The mission file states something else of a file than its header."""
+    """The header of a file (``found``) and the mission file (``stated``) contradict each other."""
     return warning(
         IMPORT_CONTRADICTED,
         "{key} is {found} in its header and {stated} in the mission file, which is used",
@@ -303,7 +303,7 @@ IMPORT_CUT = Code(
 
 
 def file_cut(*, where: str, count: int, row: int, rows: int) -> Message:
-    """The size of the file is not a whole number of rows."""
+    """A file ends with ``count`` bytes of a row; a row has ``row`` bytes, ``rows`` are complete."""
     return loss(
         IMPORT_CUT,
         "the last {count} bytes are less than a row of {row}: the file was cut after {rows}",
@@ -324,7 +324,7 @@ IMPORT_EO_ANGLES = Code(
 
 
 def eo_angles_unused(*, where: str, missing: str) -> Message:
-    """The head lacks what its angles need: their unit, or the grid's zone."""
+    """The header of an EO text does not state the unit or the grid of its angles."""
     return fallback(
         IMPORT_EO_ANGLES,
         (
@@ -353,7 +353,7 @@ IMPORT_EO_HEAD = Code(
 
 
 def eo_order(*, where: str, rotations: str) -> Message:
-    """The order of the rotations that the head states, or that is taken where it states none."""
+    """The order of rotations in the header of an EO text; empty where it is assumed."""
     text = "angles in the order of its header: {rotations}"
     if not rotations:
         text = "its header states no order of rotations; omega is assumed first, then phi and kappa"
@@ -361,7 +361,7 @@ def eo_order(*, where: str, rotations: str) -> Message:
 
 
 def eo_order_unknown(*, where: Path | str, rotations: str) -> InputError:
-    """The head states an order of the rotations that is not omega, phi or phi, omega, and kappa."""
+    """The header of an EO text states an order of rotations that is not supported."""
     return InputError(
         IMPORT_EO_HEAD,
         "its rotations are {rotations}; allowed: omega about x and phi about y, either first, and "
@@ -373,7 +373,7 @@ def eo_order_unknown(*, where: Path | str, rotations: str) -> InputError:
 
 
 def eo_cardinal_rotation(*, where: str, turn_deg: float) -> Message:
-    """The head states a cardinal rotation of kappa."""
+    """The header of an EO text states a cardinal rotation of kappa."""
     return warning(
         IMPORT_EO_HEAD,
         (
@@ -400,7 +400,7 @@ def eo_shift_undone(*, where: str, shift: str) -> Message:
 
 
 def eo_shift_unknown(*, where: str, shift: str) -> Message:
-    """A shift is stated, and latitude and longitude do not show whether they have it."""
+    """A shift is stated, but a comparison does not show whether latitude and longitude have it."""
     return warning(
         IMPORT_EO_HEAD,
         (
@@ -462,7 +462,7 @@ NAME_OR_EXPORT = "state the format of the file, or export it again"
 
 
 def ending_unknown(*, where: Path | str, ending: str, known: str, formats: str) -> InputError:
-    """The ending of a file does not say its format, and neither does the mission file."""
+    """A file has an unknown ending, and the mission file does not state its format."""
     return InputError(
         IMPORT_FORMAT,
         "its ending {ending} is unknown; known endings are {known}",
@@ -475,7 +475,7 @@ def ending_unknown(*, where: Path | str, ending: str, known: str, formats: str) 
 
 
 def ending_missing(*, where: Path | str, known: str, formats: str) -> InputError:
-    """A file without an ending, and the mission file does not say its format."""
+    """A file has no ending, and the mission file does not state its format."""
     return InputError(
         IMPORT_FORMAT,
         "its ending is missing; known endings are {known}",
@@ -505,7 +505,7 @@ def no_row_readable(*, where: Path | str) -> InputError:
 
 
 def columns_unstated(*, where: Path | str) -> InputError:
-    """A trajectory as CSV, whose columns the mission file does not name."""
+    """The mission file does not name the columns of a trajectory in CSV."""
     return InputError(
         IMPORT_FORMAT,
         "its columns have no names",
@@ -528,7 +528,7 @@ def pos_without_titles(*, where: Path | str) -> InputError:
 
 
 def pos_without_solutions(*, where: Path | str) -> InputError:
-    """A solution of RTKLIB with a header alone."""
+    """A solution of RTKLIB has a header but no rows."""
     return InputError(
         IMPORT_FORMAT,
         "it has a header and no solutions",
@@ -538,7 +538,7 @@ def pos_without_solutions(*, where: Path | str) -> InputError:
 
 
 def pos_without_base(*, where: Path | str) -> InputError:
-    """Baselines of RTKLIB whose base has no geodetic place in the header."""
+    """The header of RTKLIB baselines has no latitude, longitude and height of their base."""
     return InputError(
         IMPORT_FORMAT,
         (
@@ -551,7 +551,7 @@ def pos_without_base(*, where: Path | str) -> InputError:
 
 
 def mrk_without_lines(*, where: Path | str) -> InputError:
-    """No line of the file is one of DJI's Timestamp.MRK."""
+    """No line of the file has the format of DJI's Timestamp.MRK."""
     return InputError(
         IMPORT_FORMAT,
         (
@@ -585,7 +585,7 @@ def eo_without_places(*, where: Path | str, titles: str) -> InputError:
 
 
 def eo_not_in_degrees(*, where: Path | str) -> InputError:
-    """Exterior orientations whose header does not state degrees for their places."""
+    """The header of an EO text does not state that latitude and longitude are in degrees."""
     return InputError(
         IMPORT_FORMAT,
         "its header does not contain 'lat, long in Deg'",
@@ -594,7 +594,8 @@ def eo_not_in_degrees(*, where: Path | str) -> InputError:
     )
 
 
-def _no_sbet(where: Path | str, why: str, **values: Any) -> InputError:
+def _not_sbet(where: Path | str, why: str, **values: Any) -> InputError:
+    """The refusal of a file that is not an SBET; ``why`` is a text with the names of ``values``."""
     return InputError(
         IMPORT_FORMAT,
         f"it is not an SBET: {why}",
@@ -605,31 +606,31 @@ def _no_sbet(where: Path | str, why: str, **values: Any) -> InputError:
 
 
 def sbet_big_endian(*, where: Path | str) -> InputError:
-    """The numbers make an SBET when their bytes are read in the other order."""
-    return _no_sbet(where, "its numbers are big-endian, but an SBET has little-endian numbers")
+    """The numbers are those of an SBET if they are read as big-endian."""
+    return _not_sbet(where, "its numbers are big-endian, but an SBET has little-endian numbers")
 
 
 def sbet_is_smrmsg(*, where: Path | str) -> InputError:
-    """The file of standard deviations stands where the SBET belongs."""
+    """The file that is named as SBET is a smrmsg file of standard deviations."""
     why = (
         "it is a smrmsg file (10 doubles in each row); name it as accuracy, together with the SBET"
     )
-    return _no_sbet(where, why)
+    return _not_sbet(where, why)
 
 
 def sbet_too_short(*, where: Path | str, rows: int) -> InputError:
-    """An SBET of a few rows, too few to judge."""
-    return _no_sbet(where, "it has {rows}", rows=Counted(rows, "row"))
+    """The file has too few rows to recognise an SBET."""
+    return _not_sbet(where, "it has {rows}", rows=Counted(rows, "row"))
 
 
 def sbet_not_numbers(*, where: Path | str) -> InputError:
     """Some doubles of the file are infinite or not numbers."""
-    return _no_sbet(where, "not all of its values are numbers")
+    return _not_sbet(where, "not all of its values are numbers")
 
 
 def sbet_without_time(*, where: Path | str) -> InputError:
-    """The first column does not hold seconds of the week that increase."""
-    return _no_sbet(where, "its first column is not a time that increases")
+    """The first column is not seconds of the week that increase."""
+    return _not_sbet(where, "its first column is not a time that increases")
 
 
 def sbet_places(*, where: Path | str, latitude: float, longitude: float) -> InputError:
@@ -638,19 +639,19 @@ def sbet_places(*, where: Path | str, latitude: float, longitude: float) -> Inpu
         "latitude and longitude reach {latitude:.4g} and {longitude:.4g}: they are in degrees or "
         "exchanged; radians are needed, latitude first"
     )
-    return _no_sbet(where, why, latitude=latitude, longitude=longitude)
+    return _not_sbet(where, why, latitude=latitude, longitude=longitude)
 
 
 def sbet_heights(*, where: Path | str, lowest: float, highest: float) -> InputError:
     """Heights that no aircraft has."""
     why = "heights are between {lowest:.4g} and {highest:.4g} m"
-    return _no_sbet(where, why, lowest=lowest, highest=highest)
+    return _not_sbet(where, why, lowest=lowest, highest=highest)
 
 
 def sbet_angles(*, where: Path | str, largest: str) -> InputError:
-    """Angles are too large for radians; ``largest`` are those of roll to wander angle."""
+    """Angles are too large for radians; ``largest`` lists the largest of roll to wander angle."""
     why = "roll, pitch, heading and wander angle reach {largest} radians: degrees?"
-    return _no_sbet(where, why, largest=largest)
+    return _not_sbet(where, why, largest=largest)
 
 
 def not_smrmsg(*, where: Path | str) -> InputError:
@@ -666,7 +667,7 @@ def not_smrmsg(*, where: Path | str) -> InputError:
 def smrmsg_of_other_times(
     *, where: Path | str, begin: float, end: float, sbet_begin: float, sbet_end: float
 ) -> InputError:
-    """The standard deviations are of other seconds of the week than the SBET."""
+    """Standard deviations and SBET have no seconds of the week in common."""
     return InputError(
         IMPORT_FORMAT,
         (
@@ -691,7 +692,7 @@ IMPORT_NO_POSITION = Code(
 
 
 def images_without_position(*, where: str, count: int, total: int, first: float) -> Message:
-    """DJI gives some images the quality 0, or the place 0, 0."""
+    """Images of a .MRK have the quality 0 or the place 0, 0; ``first`` is an image number."""
     return loss(
         IMPORT_NO_POSITION,
         "{count} of {total} have no position (quality 0), the first is number {first:.0f}",
@@ -723,7 +724,7 @@ def latitude_beyond_poles(*, where: Path | str, worst_deg: float) -> InputError:
 
 
 def not_on_earth(*, where: Path | str, radius: float) -> InputError:
-    """Earth-centred coordinates that are not near the ground."""
+    """Earth-centred coordinates are far from the ground; ``radius`` [m] is their median."""
     return InputError(
         IMPORT_RANGE,
         "x, y and z are {radius:.4g} m from the centre of the earth",
@@ -769,7 +770,7 @@ def rows_unreadable(*, where: str, count: int, total: int, first: int) -> Messag
 
 
 def values_impossible(*, where: str, column: str, count: int, row: int, first: float) -> Message:
-    """Single values of rows are none that a flight has; ``row`` counts from 1."""
+    """Single values of a column are impossible; the first is in ``row``, from 1."""
     return loss(
         IMPORT_VALUES,
         (
@@ -786,7 +787,7 @@ def values_impossible(*, where: str, column: str, count: int, row: int, first: f
 
 
 def fields_unreadable(*, where: str, column: str, count: int, line: int, first: str) -> Message:
-    """Fields of a column of a trajectory hold no number."""
+    """Fields of a column of a trajectory are not numbers; ``first`` is the text in ``line``."""
     return loss(
         IMPORT_VALUES,
         (
@@ -830,7 +831,7 @@ IMPORT_SPEED = Code(
 
 
 def sbet_speed(*, where: Path | str, usual: float, said: float) -> InputError:
-    """The speed between the positions of an SBET contradicts its velocities."""
+    """The speed from positions (``usual``) contradicts that of the velocities (``said``) [m/s]."""
     return InputError(
         IMPORT_SPEED,
         (
@@ -875,7 +876,7 @@ IMPORT_UNSTATED = Code(
 
 
 def unstated(*, where: Path | str, name: str) -> InputError:
-    """Neither the file nor the mission file says its time system or its heights."""
+    """Neither the file nor the mission file states ``name``, its time system or its heights."""
     return InputError(
         IMPORT_UNSTATED,
         (
@@ -897,7 +898,7 @@ IMPORT_VELOCITY = Code(
 
 
 def sbet_velocity_unused(*, where: str, misfits: float) -> Message:
-    """Turned by the wander angle or not, velocities are not those of the positions."""
+    """Velocities of an SBET do not fit its positions, with either sign of the wander angle."""
     return warning(
         IMPORT_VELOCITY,
         (
@@ -920,7 +921,7 @@ IMPORT_WANDER = Code(
 
 
 def wander_untested(*, where: str) -> Message:
-    """Nothing in an SBET moves: its heading cannot be tested."""
+    """Nothing in an SBET moves: the sign of its wander angle cannot be tested."""
     return note(
         IMPORT_WANDER,
         (
@@ -1003,7 +1004,7 @@ ORIENTATION_NAMES = Code(
 
 
 def columns_by_usual_names(*, where: str, names: Mapping[str, str]) -> Message:
-    """Columns of a table of orientations that were found by usual names."""
+    """Columns of a table of orientations were detected by usual names: quantity -> column."""
     listed = ", ".join(f"{quantity} from {name}" for quantity, name in names.items())
     return note(
         ORIENTATION_NAMES,
@@ -1093,7 +1094,7 @@ def orientation_position(
     swapped: bool,
     key: str,
 ) -> InputError:
-    """Latitudes or longitudes are beyond their range; ``swapped``: each could be the other."""
+    """Latitudes or longitudes are beyond their range; ``swapped``: they may be exchanged."""
     hint = "; are latitude and longitude exchanged?" if swapped else ""
     return InputError(
         ORIENTATION_POSITION,
@@ -1121,7 +1122,7 @@ ORIENTATION_QUATERNION = Code(
 
 
 def orientation_quaternion(*, path: Path | str, line: int, count: int, length: float) -> InputError:
-    """Quaternions are not of length 1; the line and the length are of the farthest."""
+    """Quaternions are not of length 1; ``line`` and ``length`` are those of the worst."""
     return InputError(
         ORIENTATION_QUATERNION,
         "the length of {count} quaternions is not 1, the worst is {length:.6g}",
@@ -1145,7 +1146,7 @@ ORIENTATION_REPEATED = Code(
 
 
 def orientation_repeated(*, where: Path | str, count: int, image: str, lines: str) -> InputError:
-    """Images stand in a table more than once; one of them as an example, with its lines."""
+    """``count`` images occur in a table more than once; ``image`` is an example with its lines."""
     return InputError(
         ORIENTATION_REPEATED,
         "{count} images occur more than once, for example {image!r} in lines {lines}",
@@ -1208,7 +1209,7 @@ def trajectory_agrees(
     shift_s: float,
     shifted_m: float,
 ) -> Message:
-    """How far imported positions are from the log's, and with a shift of their times."""
+    """The distance of imported positions from the log's: median, 95 %, and with a shift in time."""
     return message(
         kind,
         TRAJECTORY_AGREES,
@@ -1237,7 +1238,7 @@ TRAJECTORY_ANGLES_AGREE = Code(
 def trajectory_angles_agree(
     *, kind: Kind, where: str, count: int, tilt_deg: float, yaw_deg: float
 ) -> Message:
-    """How far imported attitudes are from the log's."""
+    """The median differences of imported attitudes from the log's, in tilt and yaw."""
     return message(
         kind,
         TRAJECTORY_ANGLES_AGREE,
@@ -1263,7 +1264,7 @@ TRAJECTORY_HEIGHT_AGREES = Code(
 def trajectory_height_agrees(
     *, kind: Kind, where: str, count: int, log: str, apart_m: float, spread_m: float
 ) -> Message:
-    """How far imported heights are from the log's."""
+    """The median difference of imported heights from the log's, and the scatter (95 %) about it."""
     return message(
         kind,
         TRAJECTORY_HEIGHT_AGREES,
@@ -1307,7 +1308,10 @@ TRAJECTORY_ANGLES = Code(
 def trajectory_angles_columns(
     *, where: str, size_deg: float, mistake: str, left_deg: float
 ) -> MissionError:
-    """The imported attitude fits the log with one mistake about its columns undone."""
+    """The imported attitude fits the log if one ``mistake`` about its columns is corrected.
+
+    ``size_deg`` is the difference from the log as read, ``left_deg`` after the correction.
+    """
     return MissionError(
         TRAJECTORY_ANGLES,
         (
@@ -1326,7 +1330,10 @@ def trajectory_angles_columns(
 
 
 def trajectory_angles(*, where: str, size_deg: float, order: str, left_deg: float) -> MissionError:
-    """The imported attitude fits the log with its rotations in another order."""
+    """The imported attitude fits the log if its rotations are in another ``order``.
+
+    ``size_deg`` is the difference from the log as read, ``left_deg`` in that order.
+    """
     return MissionError(
         TRAJECTORY_ANGLES,
         (
@@ -1371,7 +1378,11 @@ TRAJECTORY_HEIGHT = Code(
 def trajectory_height(
     *, where: Path | str, apart: float, own: str, same: str, by_other: float, other: str
 ) -> MissionError:
-    """The imported heights fit the log above the other surface."""
+    """The imported heights fit the log only if they count from the ``other`` surface.
+
+    ``apart`` and ``by_other`` [m] are their differences from the log's heights, ``own``, above the
+    surface ``same`` and above the ``other`` one.
+    """
     return MissionError(
         TRAJECTORY_HEIGHT,
         (
@@ -1414,7 +1425,7 @@ TRAJECTORY_OVERLAP = Code(
 
 
 def trajectory_overlap(*, where: Path | str, own: str, log: str) -> MissionError:
-    """The trajectory and the log have no time in common."""
+    """The trajectory (time ``own``) and the log (time ``log``) do not overlap."""
     return MissionError(
         TRAJECTORY_OVERLAP,
         "it covers {own}, the log {log}",
@@ -1434,7 +1445,7 @@ TRAJECTORY_PLACE = Code(
 
 
 def trajectory_place(*, where: str, away: str, log: str, hints: str) -> MissionError:
-    """The trajectory is of another place; ``hints`` are mistakes that would explain it."""
+    """The trajectory is far from the log; ``hints`` are mistakes that would explain it."""
     return MissionError(
         TRAJECTORY_PLACE,
         "it is {away} from {log} of the log in the median{hints}",
@@ -1455,7 +1466,7 @@ TRAJECTORY_QUALITY = Code(
 
 
 def solution_qualities(*, where: str, count: int, shares: str) -> Message:
-    """How many of the solutions of a file are fixed, float and so on."""
+    """The shares of fixed, float and other solutions in a file."""
     return note(TRAJECTORY_QUALITY, "solutions: {shares}", where=where, count=count, shares=shares)
 
 
@@ -1468,7 +1479,7 @@ TRAJECTORY_SINGLE = Code(
 
 
 def single_point_images(*, where: str, count: int, total: int) -> Message:
-    """Positions of images that DJI's receiver had without corrections."""
+    """Images of a .MRK have single-point positions, without corrections."""
     return warning(
         TRAJECTORY_SINGLE,
         (
@@ -1488,7 +1499,7 @@ def single_point_images(*, where: str, count: int, total: int) -> Message:
 def single_point_solutions(
     *, where: str, count: int, total: int, sigma_h_m: float, sigma_v_m: float
 ) -> Message:
-    """Solutions of RTKLIB without corrections."""
+    """Solutions of RTKLIB are single-point fixes; their sigmas are at least these values."""
     return warning(
         TRAJECTORY_SINGLE,
         (
@@ -1525,7 +1536,10 @@ TRAJECTORY_TIME = Code(
 def trajectory_time(
     *, where: str, shift_s: float, log: str, best_m: float, now_m: float
 ) -> MissionError:
-    """The imported times fit the log only when shifted, by ``shift_s`` to be added to them."""
+    """The imported times fit the log only if ``shift_s`` is added to them.
+
+    ``best_m`` and ``now_m`` are the median distances from the log with and without the shift.
+    """
     hint = ""
     if _LEAST_LEAP_S < abs(shift_s) < _MOST_LEAP_S:
         hint = "; GPS time is 18 s ahead of UTC since 2017"

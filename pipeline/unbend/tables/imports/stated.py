@@ -1,6 +1,7 @@
-"""What the mission file states of a file of another program, and what every such file needs.
+"""Statements of the mission file about a file of another program, and steps that all readers share.
 
-The week of its seconds, and a channel in the order of time.
+These are the time system, the week of seconds, the surface of heights, and a channel in the order
+of time.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,7 +31,7 @@ from unbend.units import (
 
 LARGEST_LONGITUDE_RAD = 2.0 * np.pi  # files count to ±180 or to 360 deg
 HEIGHT_COLUMNS = {"h_ellipsoid_m", "h_msl_m"}
-LARGEST_SIGMA = 1e6  # metres or radians: a larger one stands for an unknown place
+LARGEST_SIGMA = 1e6  # metres or radians: programs write larger ones for an unknown place
 FASTEST_M_S = 1000.0  # no aircraft that takes images is as fast
 LONGEST_ARM_M = 1000.0  # from an antenna to a camera
 LONGEST_NORM_ERROR = 0.0101  # of quaternions: four numbers of two decimals err by 0.01
@@ -38,13 +39,13 @@ _QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 
 def as_written(angles: Array) -> Array:
-    """The angles of a file as they stand there."""
+    """The angles of a file without a change."""
     return angles
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What the mission file says of a file, None where it says nothing.
+    """Statements of the mission file about a file; None where it does not state one.
 
     Parameters
     ----------
@@ -54,13 +55,15 @@ class Stated:
     heights : ellipsoid or msl.
     accuracy : the file of standard deviations that belongs to an SBET.
     columns : quantity -> name of the column, of a CSV.
-    unstated : quantities that nothing states, which our own table of orientations has.
+    unstated : quantities without a stated column, read from a table of orientations that this
+        package has written.
     position_unit, angle_unit : of latitude and longitude, and of the attitude, in a CSV.
     angle_order : intrinsic rotations about z, y and x, as ``ZYX``.
     crs, geoid : coordinate system of a CSV, and the user's grid for its heights.
-    grid : the projected coordinate system in whose axes omega, phi and kappa count.
-    angles_meant : what three angles (n, 3) [rad] mean, in the order in which they turn or as roll,
-        pitch, yaw; by default what the file says. Another reading is tried by it.
+    grid : the projected coordinate system with the axes of omega, phi and kappa.
+    angles_meant : function that corrects angles (n, 3) [rad], in the order in which they turn or as
+        roll, pitch, yaw; by default it returns them unchanged. Other readings of a file, such as
+        the opposite sign of an angle, are tried with it.
     """
 
     time_system: Literal["gpst", "utc"] | None = None
@@ -78,26 +81,33 @@ class Stated:
     grid: str | None = None
     angles_meant: Callable[[Array], Array] = as_written
 
-    def system_of(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
-        """The time system, gpst or utc; ``found`` is what the file says of itself."""
-        return _settled(path, "time.system", found, self.time_system, ledger)
+    def system_of(self, path: Path, ledger: Ledger, by_header: str | None = None) -> str:
+        """The time system of a file, gpst or utc, as stated, else by its header.
 
-    def height_column(self, path: Path, ledger: Ledger, found: str | None = None) -> str:
-        """The channel's column for heights above ``ellipsoid`` or ``msl``, as found or stated."""
-        surface = _settled(path, "heights", found, self.heights, ledger)
+        ``by_header`` is the system that the file itself states, None without one.
+        """
+        return _stated_or_header(path, "time.system", by_header, self.time_system, ledger)
+
+    def height_column(self, path: Path, ledger: Ledger, by_header: str | None = None) -> str:
+        """The channel's column for the heights of a file: h_ellipsoid_m or h_msl_m.
+
+        ``by_header`` is the surface that the file itself states, ellipsoid or msl, None without.
+        """
+        surface = _stated_or_header(path, "heights", by_header, self.heights, ledger)
         return "h_ellipsoid_m" if surface == "ellipsoid" else "h_msl_m"
 
     def utc_of_week_seconds(self, path: Path, seconds: Array, system: str) -> TimeArray:
-        """UTC of seconds of a week that the file does not name.
+        """UTC (n,) of ``seconds`` (n,) of a week that the file does not state.
 
-        It is the stated one, or that in which most of the file lies within the log. Seconds that
-        begin anew belong to the next week. 0 where they are unknown: NaN or negative.
+        The week is the stated one, or the week with the most rows within the time of the log. Where
+        the seconds start again near 0, the next week begins. Unknown seconds (NaN or negative) give
+        0. ``system`` is gpst or utc.
         """
         known_seconds = np.where(seconds >= 0.0, seconds, np.nan)
         without_gaps = np.asarray(pd.Series(known_seconds).ffill().bfill(), np.float64)
         steps = np.diff(without_gaps, prepend=without_gaps[:1])
-        begins_anew = steps < -SECONDS_PER_WEEK / 2
-        seconds = known_seconds + SECONDS_PER_WEEK * np.cumsum(begins_anew)
+        is_new_week = steps < -SECONDS_PER_WEEK / 2
+        seconds = known_seconds + SECONDS_PER_WEEK * np.cumsum(is_new_week)
         if self.week is not None:
             return utc_of_weeks(self.week, seconds, system)
         if self.around_ns is None:
@@ -107,28 +117,37 @@ class Stated:
         def rows_in_log(time_ns: TimeArray) -> int:
             return int(np.sum((time_ns >= first) & (time_ns <= last)))
 
-        since_epoch_ns = (first + last) // 2 - UNIX_NS_OF_GPS_EPOCH
-        week = since_epoch_ns // (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
-        weeks = (week, week - 1, week + 1)
+        middle_of_log_ns = (first + last) // 2 - UNIX_NS_OF_GPS_EPOCH
+        week = middle_of_log_ns // (SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND)
+        weeks = (week, week - 1, week + 1)  # where several fit equally, the first is used
         candidates = [utc_of_weeks(candidate, seconds, system) for candidate in weeks]
         return max(candidates, key=rows_in_log)
 
 
-def _settled(path: Path, key: str, found: str | None, stated: str | None, ledger: Ledger) -> str:
-    """What the mission file says of a file, or the file of itself; contradictions are reported."""
-    if found is not None and stated not in (None, found):
+def _stated_or_header(
+    path: Path,
+    key: str,
+    by_header: str | None,
+    stated: str | None,
+    ledger: Ledger,
+) -> str:
+    """The value that the mission file states for ``key``, else that of the file's header.
+
+    A contradiction between both is reported. Refuses (InputError) a file without either.
+    """
+    if by_header is not None and stated not in (None, by_header):
         contradicted = messages.header_contradicted(
-            where=path.name, key=key, found=found, stated=str(stated)
+            where=path.name, key=key, found=by_header, stated=str(stated)
         )
         ledger.add(contradicted)
-    settled = stated or found
-    if settled is None:
+    value = stated or by_header
+    if value is None:
         raise messages.unstated(where=path, name=key)
-    return settled
+    return value
 
 
 def read_text(path: Path) -> list[str]:
-    """The lines of a text file that are not empty; refuses what is no text."""
+    """The lines of a UTF-8 text file that are not blank; refuses a file that is not text."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -137,9 +156,9 @@ def read_text(path: Path) -> list[str]:
 
 
 def _is_place_possible(columns: Mapping[str, Array]) -> Mask:
-    """(n,) False where the place is 0, 0, which stands for an unknown one, or not on earth.
+    """(n,) False where the place is 0, 0, as programs write an unknown one, or not on earth.
 
-    True where it is unknown (NaN): a row without a position is kept for what else it has.
+    True where the place is NaN: a row without a position is kept for its other columns.
     """
     is_at_equator = columns["lat_rad"] == 0.0
     is_at_greenwich = columns["lon_rad"] == 0.0
@@ -150,8 +169,11 @@ def _is_place_possible(columns: Mapping[str, Array]) -> Mask:
     return np.asarray(~is_nowhere)
 
 
-def _impossible(name: str, columns: Mapping[str, Array]) -> Mask:
-    """(n,) which values of a column no flight has; those of places are judged with the row."""
+def _is_impossible(name: str, columns: Mapping[str, Array]) -> Mask:
+    """(n,) which values of the column ``name`` are impossible in a flight.
+
+    None of the columns of places: see `_is_place_possible`.
+    """
     values = columns[name]
     if name.startswith("sigma_"):
         return np.asarray((values < 0.0) | (values > LARGEST_SIGMA))
@@ -168,14 +190,14 @@ def _impossible(name: str, columns: Mapping[str, Array]) -> Mask:
 def without_impossible(
     path: Path, columns: Mapping[str, Array], ledger: Ledger
 ) -> dict[str, Array]:
-    """Columns whose impossible values are unknown; those of each column are a loss.
+    """The columns with NaN for impossible values; each column with such values is reported.
 
-    Impossible are negative sigmas, velocities of no aircraft, and quaternions of another length
-    than 1.
+    Impossible are negative and huge sigmas, velocities that no aircraft flies, offsets of a camera
+    longer than `LONGEST_ARM_M`, and quaternions with another length than 1.
     """
     result = dict(columns)
     for name, values in columns.items():
-        is_wrong = _impossible(name, columns)
+        is_wrong = _is_impossible(name, columns)
         if not bool(is_wrong.any()):
             continue
         result[name] = np.where(is_wrong, np.nan, values)
@@ -193,7 +215,7 @@ def without_impossible(
 
 
 def _refuse_beyond_poles(path: Path, lat_rad: Array) -> None:
-    """Refuse latitudes beyond the poles."""
+    """Refuse (InputError) latitudes (n,) beyond the poles; NaN is not refused."""
     is_beyond = np.abs(lat_rad) > np.pi / 2.0
     if bool(is_beyond.any()):
         worst_row = int(np.nanargmax(np.abs(lat_rad)))
@@ -202,29 +224,28 @@ def _refuse_beyond_poles(path: Path, lat_rad: Array) -> None:
 
 
 def _rows_in_time(path: Path, time_ns: TimeArray, readable: Mask, ledger: Ledger) -> Integers:
-    """The readable rows in the order of time, the first of those with one time; the rest is lost.
+    """The numbers of the rows to keep, in the order of time; lost rows are reported.
 
-    Refuses a file without any.
+    Rows that are not ``readable`` (n,) are lost, and of several rows with the same time all but the
+    first. Refuses (InputError) a file without a row to keep.
     """
     rows = np.argsort(time_ns, kind="stable")
     rows = rows[readable[rows]]
-    is_repeated = np.diff(time_ns[rows], prepend=-1) == 0
+    is_repeated = np.diff(time_ns[rows], prepend=-1) == 0  # no file has the time -1 ns
     unreadable = np.flatnonzero(~readable)
     repeated = np.sort(rows[is_repeated])
-    for bad, lost in (
+    for lost_rows, message in (
         (unreadable, messages.rows_unreadable),
         (repeated, messages.rows_repeat_time),
     ):
-        if bad.size:
-            first = int(bad[0]) + 1
-            ledger.add(
-                lost(
-                    where=path.name,
-                    count=bad.size,
-                    total=time_ns.size,
-                    first=first,
-                )
+        if lost_rows.size:
+            lost = message(
+                where=path.name,
+                count=lost_rows.size,
+                total=time_ns.size,
+                first=int(lost_rows[0]) + 1,  # counted from 1
             )
+            ledger.add(lost)
     if bool(is_repeated.all()):
         raise messages.no_row_readable(where=path)
     return np.asarray(rows[~is_repeated])
@@ -240,23 +261,23 @@ def channel_of_rows(
     readable: Mask,
     labels: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Channel:
-    """A channel called like the file, in the order of time, without rows that cannot be read.
+    """A channel with the name of the file, in the order of time, without unusable rows.
 
-    ``readable`` (n,) False where a row is damaged; these rows, those whose time no survey can
-    have, those whose place is 0, 0 because it was not known, or none on earth, and those that
-    repeat a time, are a loss. So are single values that are impossible. Refuses latitudes beyond
-    the poles.
+    ``kind`` is the format's name for the channel's source, ``labels`` the columns of text, (n,)
+    each. Unusable rows are those that are damaged (``readable`` (n,) is False), that have an
+    impossible time or place (0, 0 is an unknown place), or that repeat a time. These rows, and
+    single impossible values, are reported as losses. Refuses latitudes beyond the poles.
     """
     columns = without_impossible(path, columns, ledger)
     readable = readable & can_be_flown(time_ns)
-    # First: in another unit than stated all places are none.
+    # Before places are removed: in a wrong unit all of them are impossible, which is refused.
     _refuse_beyond_poles(path, columns["lat_rad"][readable])
     readable = readable & _is_place_possible(columns)
     rows = _rows_in_time(path, time_ns, readable, ledger)
     values = {name: column[rows] for name, column in columns.items()}
     labels_of_rows = {}
-    for name, words in (labels or {}).items():
-        labels_of_rows[name] = tuple(np.array(words, dtype=object)[rows])
+    for name, texts in (labels or {}).items():
+        labels_of_rows[name] = tuple(np.array(texts, dtype=object)[rows])
     return Channel(
         path.name,
         time_ns[rows],

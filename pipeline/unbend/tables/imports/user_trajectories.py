@@ -1,4 +1,4 @@
-"""The trajectory in a user's CSV, by its names of columns, units and orders."""
+"""The trajectory in a user's CSV: the mission file states its columns, units and orders."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,9 +28,11 @@ from unbend.tables.text_columns import (
 from unbend.units import RADIANS, Array, Mask, whole_numbers
 
 _LAST_US = 9 * 10**15  # since 1970: 2255, in nanoseconds within 64 bits
-_SINCE_EPOCH_S = 1e8  # seconds beyond this count from an epoch, not from the beginning of a week
-_OF_EACH_ROW = ("time", "week", "latitude", "longitude", "height", "x", "y", "z")
-_AS_THEY_ARE = (
+_SINCE_EPOCH_S = 1e8  # larger seconds count from 1970 or 1980; a week has only 6e5
+_SMALLEST_RADIUS_M = 6.3e6  # of a position from the earth's centre; the ground has 6.357e6 or more
+_LARGEST_RADIUS_M = 6.5e6  # the ground has 6.385e6 at most
+_TIME_AND_PLACE = ("time", "week", "latitude", "longitude", "height", "x", "y", "z")
+_COLUMNS_AS_IN_FILE = (
     "v_north_m_s",
     "v_east_m_s",
     "v_down_m_s",
@@ -44,13 +46,13 @@ _AS_THEY_ARE = (
 
 
 def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
-    """The rows of a CSV as a channel.
+    """Read a trajectory from a CSV as a channel with one row for each row that can be read.
 
     Times are dates with a time of day, seconds of the week, with the week in a column or not, or
     seconds since 1970 (UTC) or 1980 (GPST). Positions are latitude, longitude and height, or
-    earth-centred x, y and z; in a stated coordinate system x and y are its, z is the height, and
-    yaw and velocities count from grid north. The attitude is a quaternion (v_ned = R(q) v_body), or
-    roll, pitch and yaw: rotations about the body's x, y and z in the stated order.
+    earth-centred x, y and z. In a stated coordinate system x and y are its axes, z is the height,
+    and yaw and velocities count from grid north. The attitude is a quaternion (v_ned = R(q)
+    v_body), or roll, pitch and yaw: rotations about the body's x, y and z in the stated order.
     """
     if not stated.columns:
         raise messages.columns_unstated(where=path)
@@ -60,19 +62,19 @@ def read_trajectory_csv(path: Path, stated: Stated, ledger: Ledger) -> Channel:
         codes=(messages.IMPORT_FORMAT, messages.IMPORT_COLUMN),
         key="stations.trajectory.columns",
     )
-    value = _trajectory_numbers(table, path, stated, ledger)
-    columns = {name: value[name] for name in _AS_THEY_ARE if name in value}
-    places = _trajectory_places(path, value, stated, ledger)
+    quantities = _trajectory_numbers(table, path, stated, ledger)
+    columns = {name: quantities[name] for name in _COLUMNS_AS_IN_FILE if name in quantities}
+    places = _trajectory_places(path, quantities, stated, ledger)
     columns["lat_rad"] = places.lat_rad
     columns["lon_rad"] = places.lon_rad
     columns[places.height_column] = places.height_m
-    if "yaw" in value:
-        columns |= _quaternion_columns(path, value, stated, table.index)
+    if "yaw" in quantities:
+        columns |= _quaternion_columns(path, quantities, stated, table.index)
     columns = without_impossible(path, columns, ledger)
     if places.grid_north_rad is not None:
         columns = from_grid_north(columns, places.grid_north_rad)
     times = table[stated.columns["time"]].str.strip()
-    time_ns, has_time = _utc(path, times, value, stated, ledger)
+    time_ns, has_time = _utc(path, times, quantities, stated, ledger)
     coordinates = [places.lat_rad, places.lon_rad, places.height_m]
     has_place = np.isfinite(coordinates).all(axis=0)
     return channel_of_rows(
@@ -91,24 +93,31 @@ def _trajectory_numbers(
     stated: Stated,
     ledger: Ledger,
 ) -> dict[str, Array]:
-    """The numbers of all columns by their quantities; what cannot be read is reported."""
-    value = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
-    _report_unreadable(table, value, path, stated, ledger)
+    """The numbers (n,) of each stated column, by quantity; NaN and reported where unreadable.
+
+    Latitude and longitude in degrees may be written in degrees and minutes.
+    """
+    quantities = {quantity: numbers(table[name]) for quantity, name in stated.columns.items()}
+    _report_unreadable(table, quantities, path, stated, ledger)
     if stated.position_unit == "deg":
-        for quantity in value.keys() & LIMITS_DEG.keys():
-            value[quantity] = degrees_of(
+        for quantity in quantities.keys() & LIMITS_DEG.keys():
+            quantities[quantity] = degrees_of(
                 table,
                 stated.columns[quantity],
                 path,
                 messages.IMPORT_FORMAT,
                 quantity=quantity,
             )
-    return value
+    return quantities
 
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Positions (n,) and what their heights are; azimuth of grid north where they have a grid."""
+    """Positions (n,) of a trajectory on WGS 84.
+
+    ``height_column`` is the channel's column for these heights. ``grid_north_rad`` (n,) is the
+    azimuth of grid north; None for positions without a stated coordinate system.
+    """
 
     lat_rad: Array
     lon_rad: Array
@@ -119,23 +128,25 @@ class _Places:
 
 def _trajectory_places(
     path: Path,
-    value: Mapping[str, Array],
+    quantities: Mapping[str, Array],
     stated: Stated,
     ledger: Ledger,
 ) -> _Places:
-    """The positions of a trajectory, whichever coordinates it has."""
+    """The positions of a trajectory in a stated system, earth-centred, or geographic."""
     if stated.crs is not None:
-        return _places_in_system(path, stated.crs, value, stated, ledger)
-    if "x" in value:
-        lat_rad, lon_rad, height_m = geodetic_of_ecef(value["x"], value["y"], value["z"])
+        return _places_in_system(path, stated.crs, quantities, stated, ledger)
+    if "x" in quantities:
+        lat_rad, lon_rad, height_m = geodetic_of_ecef(
+            quantities["x"], quantities["y"], quantities["z"]
+        )
         height_column = stated.height_column(path, ledger, "ellipsoid")
-        _refuse_elsewhere_than_earth(path, value)
+        _refuse_far_from_ground(path, quantities)
         return _Places(lat_rad, lon_rad, height_m, height_column)
-    unit = RADIANS[stated.position_unit]
+    unit_rad = RADIANS[stated.position_unit]
     return _Places(
-        lat_rad=value["latitude"] * unit,
-        lon_rad=value["longitude"] * unit,
-        height_m=value["height"],
+        lat_rad=quantities["latitude"] * unit_rad,
+        lon_rad=quantities["longitude"] * unit_rad,
+        height_m=quantities["height"],
         height_column=stated.height_column(path, ledger),
     )
 
@@ -143,20 +154,20 @@ def _trajectory_places(
 def _places_in_system(
     path: Path,
     crs: str,
-    value: Mapping[str, Array],
+    quantities: Mapping[str, Array],
     stated: Stated,
     ledger: Ledger,
 ) -> _Places:
-    """The positions of coordinates in a stated system, on WGS 84."""
+    """Transform positions from the stated coordinate system ``crs`` to WGS 84."""
     is_msl = stated.height_column(path, ledger) == "h_msl_m"
-    if "x" in value:
-        coordinates = (value["x"], value["y"], value["z"])
+    if "x" in quantities:
+        coordinates = (quantities["x"], quantities["y"], quantities["z"])
     else:
-        degrees = RADIANS[stated.position_unit] / RADIANS["deg"]
+        unit_deg = RADIANS[stated.position_unit] / RADIANS["deg"]
         coordinates = (
-            value["longitude"] * degrees,
-            value["latitude"] * degrees,
-            value["height"],
+            quantities["longitude"] * unit_deg,
+            quantities["latitude"] * unit_deg,
+            quantities["height"],
         )
     places, notes = places_of(
         crs,
@@ -176,27 +187,33 @@ def _places_in_system(
     )
 
 
-def _refuse_elsewhere_than_earth(path: Path, value: Mapping[str, Array]) -> None:
-    """Refuse earth-centred x, y and z that are not near the earth's surface in the median."""
-    radii_m = np.linalg.norm([value[axis] for axis in "xyz"], axis=0)
-    known_m = radii_m[np.isfinite(radii_m)]
-    if known_m.size == 0:
+def _refuse_far_from_ground(path: Path, quantities: Mapping[str, Array]) -> None:
+    """Refuse earth-centred x, y and z [m] with a median that is far from the earth's surface."""
+    radii_m = np.linalg.norm([quantities[axis] for axis in "xyz"], axis=0)
+    finite_radii_m = radii_m[np.isfinite(radii_m)]
+    if finite_radii_m.size == 0:
         raise messages.no_row_readable(where=path)
-    radius_m = float(np.median(known_m))
-    if not 6.3e6 < radius_m < 6.5e6:
+    radius_m = float(np.median(finite_radii_m))
+    if not _SMALLEST_RADIUS_M < radius_m < _LARGEST_RADIUS_M:
         raise messages.not_on_earth(where=path, radius=radius_m)
 
 
 def _quaternion_columns(
     path: Path,
-    value: Mapping[str, Array],
+    quantities: Mapping[str, Array],
     stated: Stated,
     lines: "pd.Index[Any]",
 ) -> dict[str, Array]:
-    """The columns q_x to q_w of roll, pitch and yaw; NaN where one of these is unknown."""
-    given = np.stack([value["roll"], value["pitch"], value["yaw"]], axis=1)
+    """The columns q_x to q_w of roll, pitch and yaw; NaN where one of the three is unknown.
+
+    ``lines`` (n,) are the lines of the rows in the file, for a refusal.
+    """
+    roll_pitch_yaw = np.stack(
+        [quantities["roll"], quantities["pitch"], quantities["yaw"]],
+        axis=1,
+    )
     angles_rad = angles_in_radians(
-        given,
+        roll_pitch_yaw,
         stated.angle_unit,
         path,
         messages.IMPORT_ANGLES,
@@ -205,10 +222,11 @@ def _quaternion_columns(
     )
     angles_rad = stated.angles_meant(angles_rad)
     is_known = np.isfinite(angles_rad).all(axis=1)
-    axes = ["XYZ".index(axis) for axis in stated.angle_order]
-    turn = Rotation.from_euler(stated.angle_order, angles_rad[is_known][:, axes])
+    columns_in_order = ["XYZ".index(axis) for axis in stated.angle_order]
+    angles_in_order = angles_rad[is_known][:, columns_in_order]
+    attitude = Rotation.from_euler(stated.angle_order, angles_in_order)
     quaternion = np.full((len(angles_rad), 4), np.nan)
-    quaternion[is_known] = turn.as_quat(canonical=True)
+    quaternion[is_known] = attitude.as_quat(canonical=True)
     return _columns_of_quaternion(quaternion)
 
 
@@ -222,44 +240,48 @@ def _columns_of_quaternion(quaternion: Array) -> dict[str, Array]:
     }
 
 
-# Words for a value that is not known, as programs write them.
+# Texts that programs write for an unknown value, in lower case.
 _UNKNOWN_WORDS = ("", "nan", "none", "null", "n/a", "-", "--")
 
 
 def _report_unreadable(
-    table: pd.DataFrame, value: Mapping[str, Array], path: Path, stated: Stated, ledger: Ledger
+    table: pd.DataFrame, quantities: Mapping[str, Array], path: Path, stated: Stated, ledger: Ledger
 ) -> None:
-    """A loss for each column beside time and place with fields that are no numbers.
+    """Report a loss for each column with fields that are neither numbers nor words for unknown.
 
-    Rows whose time or place cannot be read are lost as a whole (see `channel_of_rows`).
+    Columns of time and place are left out: a row without these is lost as a whole (see
+    `channel_of_rows`). ``table`` has the texts of the numbers in ``quantities``.
     """
     for quantity, name in stated.columns.items():
-        if quantity in _OF_EACH_ROW:
+        if quantity in _TIME_AND_PLACE:
             continue
-        words = table[name].str.strip().str.lower()
-        is_stated = ~words.isin(_UNKNOWN_WORDS).to_numpy(np.bool_)
-        rows_unread = np.flatnonzero(is_stated & np.isnan(value[quantity]))
+        texts = table[name].str.strip().str.lower()
+        is_stated = ~texts.isin(_UNKNOWN_WORDS).to_numpy(np.bool_)
+        rows_unread = np.flatnonzero(is_stated & np.isnan(quantities[quantity]))
         if rows_unread.size:
             first_row = rows_unread[0]
-            lost = messages.fields_unreadable(
+            unreadable = messages.fields_unreadable(
                 where=path.name,
                 column=name,
                 count=rows_unread.size,
                 line=int(table.index[first_row]),
                 first=table[name].iloc[first_row],
             )
-            ledger.add(lost)
+            ledger.add(unreadable)
 
 
 def from_grid_north(columns: dict[str, Array], convergence_rad: Array) -> dict[str, Array]:
-    """Columns with attitudes and velocities against true north instead of grid north."""
+    """A copy of the columns, with attitudes and velocities turned from grid north to true north.
+
+    ``convergence_rad`` (n,) is the azimuth of grid north.
+    """
     columns = dict(columns)
     if "q_w" in columns:
         quaternion = np.stack([columns[f"q_{axis}"] for axis in "xyzw"], axis=1)
         is_known = np.isfinite(quaternion).all(axis=1)
-        from_grid = Rotation.from_euler("z", convergence_rad[is_known, None])
-        turned = from_grid * Rotation.from_quat(quaternion[is_known])
-        quaternion[is_known] = turned.as_quat(canonical=True)
+        true_from_grid = Rotation.from_euler("z", convergence_rad[is_known, None])
+        attitude = true_from_grid * Rotation.from_quat(quaternion[is_known])
+        quaternion[is_known] = attitude.as_quat(canonical=True)
         columns |= _columns_of_quaternion(quaternion)
     if "v_north_m_s" in columns and "v_east_m_s" in columns:
         velocity = columns["v_north_m_s"] + 1j * columns["v_east_m_s"]
@@ -271,23 +293,27 @@ def from_grid_north(columns: dict[str, Array], convergence_rad: Array) -> dict[s
 
 def _utc(
     path: Path,
-    text: "pd.Series[str]",
-    value: Mapping[str, Array],
+    times: "pd.Series[str]",
+    quantities: Mapping[str, Array],
     stated: Stated,
     ledger: Ledger,
 ) -> tuple[TimeArray, Mask]:
-    """UTC of the rows, and which have a readable time."""
+    """UTC (n,) of the rows, and which rows have a readable time.
+
+    ``times`` (n,) are the fields as written. They are read as dates if none is a number, else as
+    seconds: of the week in a column, of a week without column, or since 1970 (UTC) or 1980 (GPST).
+    """
     system = stated.system_of(path, ledger)
-    is_time = value["time"] >= 0.0  # -1 stands for an unknown time
-    seconds = np.where(is_time, value["time"], np.nan)
+    is_time = quantities["time"] >= 0.0  # NaN for dates; programs write -1 for unknown
+    seconds = np.where(is_time, quantities["time"], np.nan)
     if not bool(is_time.any()):
-        has_zone = text.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$")
+        has_zone = times.str.contains(r"(?:Z|[+-]\d\d:?\d\d)$")
         if system == "gpst" and bool(has_zone.any()):
-            raise messages.gps_time_with_zone(where=path, time=text.iloc[0])
-        return utc_of_dates(text, system)
-    if "week" in value:
-        time_ns = utc_of_weeks(value["week"], seconds, system)
-        return time_ns, is_time & (value["week"] >= 0)
+            raise messages.gps_time_with_zone(where=path, time=times.iloc[0])
+        return utc_of_dates(times, system)
+    if "week" in quantities:
+        time_ns = utc_of_weeks(quantities["week"], seconds, system)
+        return time_ns, is_time & (quantities["week"] >= 0)
     if float(np.nanmedian(seconds)) < _SINCE_EPOCH_S:
         return stated.utc_of_week_seconds(path, seconds, system), is_time
     if system == "gpst":

@@ -1,6 +1,6 @@
 """Blocks of images in files of other programs, by format: cameras, orientations, image points.
 
-A new format is a module beside this one that has the functions of `BlockFormat`, and its line in
+A new format is a module next to this one that has the functions of `BlockFormat`, and its line in
 `BLOCKS`. Half a pixel, axes and units of each program are applied there: cameras and image points
 come in COLMAP's pixels, orientations turn to a camera with x right, y down, z forward.
 """
@@ -37,19 +37,19 @@ if TYPE_CHECKING:
 
 
 class BlockFormat(Protocol):
-    """What the module of a format does with the path of a mission file, a file or a folder."""
+    """Functions of a format's module; ``path``, from the mission file, is a file or a folder."""
 
     def block_files(self, path: Path) -> tuple[Path, ...]:
-        """The files that are read; refuses where one that is needed is missing."""
+        """The files that are read; refuses a folder without a needed file."""
 
     def read_cameras(self, path: Path) -> CameraMakers:
-        """The cameras by name: a function that makes each."""
+        """Camera name -> function that makes the camera, or refuses its calibration."""
 
     def read_images(self, path: Path) -> OrientationTable:
-        """Images, their cameras, x, y, z and quaternions; NaN where an image has none."""
+        """Images, their cameras, positions and quaternions; NaN for an image without a pose."""
 
     def read_places(self, path: Path) -> tuple[KnownPlaces, ...]:
-        """Where the files say that the images were, beside their orientations; of each source."""
+        """Positions of the images before the adjustment, such as EXIF's; one entry a source."""
 
     def read_rows(self, path: Path) -> Iterator[pa.RecordBatch]:
         """Image points, image by image (see `image_points`)."""
@@ -66,22 +66,22 @@ BLOCKS: Registry = {
     "blocksexchange": ("unbend.tables.imports.blocks.blocks_exchange", ()),
     "dbat": ("unbend.tables.imports.blocks.dbat", ()),
 }
-"""Formats, and the endings by which the file of a camera is known."""
+"""Format -> its module, and the endings that identify its files of cameras."""
 
 
 def block_reader(program: str) -> BlockFormat:
-    """The module of a format."""
+    """Import the module of a format, a key of `BLOCKS`."""
     module: BlockFormat = resolve_name(BLOCKS[program][0])
     return module
 
 
-_LONGEST_NORM_ERROR = 1e-3  # of quaternions, which are written with a few digits
-_OF_LIBRARIES = (
+_LARGEST_NORM_ERROR = 1e-3  # of quaternions, which are written with a few digits
+_ERRORS_OF_LIBRARIES = (
     LookupError,
     ValueError,
     TypeError,
     AttributeError,
-    ArithmeticError,  # a number that no float or integer of 64 bits holds
+    ArithmeticError,  # a number too large for a float or an integer of 64 bits
     RecursionError,  # JSON of 100,000 brackets
     EOFError,
     OSError,
@@ -97,9 +97,10 @@ def damage_refused(
     path: Path | str,
     program: str,
 ) -> Iterator[None]:
-    """Raise what a library says of a damaged file as InputError (IMPORT-FORMAT).
+    """Raise the errors of libraries on a damaged file as InputError (IMPORT-FORMAT).
 
-    So are numbers whose quotients and products are none: a size of 0, a length of 1e308.
+    In the block numpy raises on division by zero, overflow and invalid results too, as of a size of
+    0 or a length of 1e308. ``program`` is the format, a key of `BLOCKS`.
     """
     strict = np.errstate(divide="raise", over="raise", invalid="raise")
     with refusals_of_libraries(path, program), strict:
@@ -111,7 +112,10 @@ def refusals_of_libraries(
     path: Path | str,
     program: str,
 ) -> Iterator[None]:
-    """As `damage_refused`, around what yields: the state of numpy would be that of its caller."""
+    """As `damage_refused`, but leaves numpy's error state alone.
+
+    For generators: between two values of a generator, its caller would have the changed state.
+    """
     try:
         yield
     except PhysicsError as error:
@@ -119,7 +123,7 @@ def refusals_of_libraries(
         raise error.again(InputError, where) from None
     except UnbendError:
         raise
-    except _OF_LIBRARIES as error:
+    except _ERRORS_OF_LIBRARIES as error:
         raise _refusal_of(error, path, program) from None
 
 
@@ -128,7 +132,7 @@ def _refusal_of(
     path: Path | str,
     program: str,
 ) -> InputError:
-    """What a library says of a damaged file, as a refusal."""
+    """The InputError (IMPORT-FORMAT) for an error that a library raised on a damaged file."""
     if isinstance(error, KeyError):
         return messages.part_missing(
             where=path,
@@ -170,15 +174,18 @@ def read_camera(
     file_format: str | None,
     name: str | None,
 ) -> Camera:
-    """The camera of a file: the named one, or the only one.
+    """The camera of a file with a ``name``, or without a name the only camera of the file.
 
-    Refuses (InputError) a format that is not known or not met (IMPORT-FORMAT), a name that is not
-    there, and several cameras without a name (CAMERA-NAME).
+    ``file_format`` is the stated format, None if the ending decides. Refuses (InputError) an
+    unknown format or a file in another format (IMPORT-FORMAT), a name that the file does not have,
+    and several cameras without a name (CAMERA-NAME).
     """
     program = format_of(BLOCKS, path, file_format)
     with damage_refused(path, program):
         cameras = block_reader(program).read_cameras(path)
-        chosen = next(iter(cameras)) if name is None and len(cameras) == 1 else name or ""
+        chosen = name or ""
+        if name is None and len(cameras) == 1:
+            chosen = next(iter(cameras))
         if chosen in cameras:
             with damage_refused(f"{path}, camera {chosen}", program):
                 return cameras[chosen]()
@@ -201,38 +208,43 @@ def read_block_images(
 ) -> OrientationTable:
     """The images of a block with their orientations.
 
-    Refuses (InputError) an image that stands there twice, and a block without orientations.
+    Quaternions are scaled to length 1. Refuses (InputError) an image that occurs twice, a block
+    without orientations, positions beyond any measurement, and quaternions of another length.
     """
     with damage_refused(path, program):
         table = block_reader(program).read_images(path)
-    twice = [name for name, count in Counter(table.image.tolist()).items() if count > 1]
-    if twice:
+    counts = Counter(table.image.tolist())
+    repeated = [name for name, count in counts.items() if count > 1]
+    if repeated:
         raise messages.image_repeated(
             where=path,
-            image=twice[0],
+            image=repeated[0],
         )
     if len(table.image) == 0:
         raise messages.no_orientation(where=path)
-    _refuse_beyond(path, table.image, table.position)
+    _refuse_far_positions(path, table.image, table.position)
     length = np.linalg.norm(measured(table.angles), axis=1)
-    wrong = np.abs(length - 1.0) > _LONGEST_NORM_ERROR
-    if wrong.any():
+    is_wrong = np.abs(length - 1.0) > _LARGEST_NORM_ERROR
+    if is_wrong.any():
         raise messages.no_rotation(
             where=path,
-            image=str(table.image[np.argmax(wrong)]),
+            image=str(table.image[np.argmax(is_wrong)]),
         )
     return replace(table, angles=table.angles / length[:, None])
 
 
-def _refuse_beyond(
+def _refuse_far_positions(
     path: Path,
     name: Sequence[str] | Names,
     position: Array,
 ) -> None:
-    """Refuse positions (n, 3) that no frame of a block has; NaN where one is unknown."""
-    beyond = (np.abs(position) > LARGEST_NUMBER).any(axis=1)
-    if beyond.any():
-        first = int(np.argmax(beyond))
+    """Refuse positions (n, 3) with a coordinate beyond `LARGEST_NUMBER`; NaN is not refused.
+
+    ``name`` (n,) are the names of the images or points.
+    """
+    is_too_far = (np.abs(position) > LARGEST_NUMBER).any(axis=1)
+    if is_too_far.any():
+        first = int(np.argmax(is_too_far))
         raise messages.position_beyond(
             where=path,
             item=str(name[first]),
@@ -247,7 +259,7 @@ def read_block_points(
     """The object points of a block: names, and (p, 3) positions in the frame of its images."""
     with damage_refused(path, program):
         names, position = block_reader(program).read_points(path)
-    _refuse_beyond(path, names, position)
+    _refuse_far_positions(path, names, position)
     return names, position
 
 
@@ -255,11 +267,11 @@ def read_block_places(
     path: Path,
     program: str,
 ) -> tuple[KnownPlaces, ...]:
-    """Where the files of a block say that its images were, beside their orientations."""
+    """Positions of a block's images from before the adjustment; one entry for each source."""
     with damage_refused(path, program):
         places = block_reader(program).read_places(path)
     for source in places:
-        _refuse_beyond(path, source.image, source.position)
+        _refuse_far_positions(path, source.image, source.position)
     return places
 
 
@@ -267,6 +279,6 @@ def block_rows(
     path: Path,
     program: str,
 ) -> Iterator[pa.RecordBatch]:
-    """The image points of a block, image by image; refuses a damaged file where it is damaged."""
+    """The image points of a block, image by image; a damaged part is refused when it is reached."""
     with refusals_of_libraries(path, program):
         yield from block_reader(program).read_rows(path)

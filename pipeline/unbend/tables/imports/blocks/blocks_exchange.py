@@ -10,8 +10,9 @@ in OpenCV. The spatial reference system of the block is one that PROJ knows, a l
 image, in a map projection from the axes of its grid. Source: the commented example of the vendor;
 the program was not run here.
 
-A point is called as its control point, or ``tie:`` and its place. An image is called by its path,
-where that is absolute by the name of its file, with the folder before it if such names repeat.
+A control point has its name, a tie point its name or ``tie:`` and its number. The name of an image
+is its path, or of an absolute path the name of the file, with the folder before it if such names
+repeat.
 """
 
 from collections import Counter
@@ -64,15 +65,15 @@ def block_files(path: Path) -> tuple[Path, ...]:
 
 
 def read_cameras(path: Path) -> CameraMakers:
-    """The camera of each photogroup by its name, with its number where names repeat."""
+    """The camera of each photogroup, by the name of the photogroup (see `_photogroups`)."""
     makers: CameraMakers = {}
-    for name, group in _groups(_document(path).block).items():
+    for name, group in _photogroups(_document(path).block).items():
         makers[name] = partial(camera_of, group, path)
     return makers
 
 
 def read_images(path: Path) -> OrientationTable:
-    """The photos of all photogroups; unknown where one has no pose, or one not yet estimated."""
+    """The photos of all photogroups with their poses; NaN without a pose that was estimated."""
     document = _document(path)
     block = document.block
     names = _image_names(block)
@@ -80,7 +81,7 @@ def read_images(path: Path) -> OrientationTable:
     cameras = []
     positions = []
     rotations = []
-    for camera, group in _groups(block).items():
+    for camera, group in _photogroups(block).items():
         _refuse_other_system(path, block, group)
         axes = camera_axes(group)
         for photo in group.iterfind("Photo"):
@@ -89,7 +90,7 @@ def read_images(path: Path) -> OrientationTable:
             positions.append(_centre(photo.find("Pose/Center")))
             rotations.append(axes @ _rotation(photo.find("Pose/Rotation"), path))
     position = np.array(positions).reshape(-1, 3)
-    system = _system(document)
+    system = _system_of_block(document)
     if system.is_geographic:
         position[:, :2] = np.radians(position[:, [1, 0]])
     table = oriented_images(images, cameras, position, _quaternions(rotations))
@@ -101,7 +102,7 @@ def read_images(path: Path) -> OrientationTable:
 
 
 def _quaternions(rotations: list[Array]) -> Array:
-    """(n, 4) quaternions of matrices, NaN where one is unknown."""
+    """(n, 4) quaternions of matrices (3, 3), NaN for a matrix with NaN."""
     matrices = np.array(rotations).reshape(-1, 3, 3)
     is_known = np.isfinite(matrices).all(axis=(1, 2))
     quaternion = np.full((len(matrices), 4), np.nan)
@@ -111,7 +112,7 @@ def _quaternions(rotations: list[Array]) -> Array:
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:
-    """The positions of the photos before the adjustment, in EXIF or as metadata of their poses."""
+    """The positions of the photos before the adjustment, in EXIF and in metadata of their poses."""
     document = _document(path)
     names = _image_names(document.block)
     sources = {
@@ -131,7 +132,10 @@ def _places_in_exif(
     block: Element,
     names: Mapping[str, str],
 ) -> dict[str, list[float]]:
-    """Latitude, longitude [rad] and altitude [m] in the EXIF of the photos, by image."""
+    """Image -> latitude, longitude [rad] and altitude [m] in its EXIF.
+
+    ``names`` are the names of the images by id of the photo.
+    """
     places = {}
     for photo in block.iterfind("Photogroups/Photogroup/Photo"):
         gps = photo.find("ExifData/GPS")
@@ -145,24 +149,28 @@ def _places_in_metadata(
     document: _Document,
     names: Mapping[str, str],
 ) -> dict[str, list[float]]:
-    """The same of the metadata of the poses, which name a system each; PROJ reads each once."""
+    """Image -> latitude, longitude [rad] and height in the metadata of its pose.
+
+    Each pose names a system. Images are collected by system, so that PROJ opens each only once.
+    ``names`` are the names of the images by id of the photo.
+    """
     by_system: dict[str, dict[str, list[float]]] = {}
     for photo in document.block.iterfind("Photogroups/Photogroup/Photo"):
         centre = photo.find("Pose/Metadata/Center")
         if centre is None:
             continue
         image = names[text_of(photo, "Id")]
-        crs = _definition(document.systems, photo.findtext("Pose/Metadata/SRSId"))
-        of_system = by_system.setdefault(crs, {})
-        of_system[image] = _centre(centre, only_accurate=False)
+        crs = _definition_of_system(document.systems, photo.findtext("Pose/Metadata/SRSId"))
+        centres = by_system.setdefault(crs, {})
+        centres[image] = _centre(centre, only_accurate=False)
     places: dict[str, list[float]] = {}
-    for crs, centres in by_system.items():
-        places |= _places_of_centres(centres, crs)
+    for crs, centres_of_system in by_system.items():
+        places |= _places_of_centres(centres_of_system, crs)
     return places
 
 
 def _place_in_exif(gps: Element) -> list[float]:
-    """Latitude, longitude [rad] and altitude [m] of a photo's EXIF."""
+    """Latitude, longitude [rad] and altitude [m] of the element GPS; NaN where one is missing."""
     latitude_deg = float(gps.findtext("Latitude", "nan"))
     longitude_deg = float(gps.findtext("Longitude", "nan"))
     altitude = float(gps.findtext("Altitude", "nan"))
@@ -173,7 +181,10 @@ def _places_of_centres(
     centres: Mapping[str, list[float]],
     crs: str,
 ) -> dict[str, list[float]]:
-    """Latitude, longitude [rad] and z of x, y, z in a system, by image; none if it is unknown."""
+    """Image -> latitude, longitude [rad] and z, from x, y, z in the system ``crs``.
+
+    Empty if PROJ does not know the system.
+    """
     xyz = np.array([*centres.values()])
     lat_lon = lat_lon_of(crs, xyz[:, 0], xyz[:, 1])
     if lat_lon is None:
@@ -207,14 +218,14 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
 
 
 def _measurements(block: Element) -> Iterator[tuple[str, Element]]:
-    """All measurements, with the names of their points."""
+    """All measurements of points in images, each with the name of its point."""
     for name, point in _points(block):
         for measurement in point.iterfind("Measurement"):
             yield name, measurement
 
 
 def _group_of_photo(block: Element) -> dict[str, Element]:
-    """The photogroup of each photo, by the photo's id."""
+    """Id of a photo -> its photogroup."""
     groups = {}
     for group in block.iterfind("Photogroups/Photogroup"):
         for photo in group.iterfind("Photo"):
@@ -223,7 +234,7 @@ def _group_of_photo(block: Element) -> dict[str, Element]:
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
-    """The tie points and control points that have a position in the block's own system."""
+    """The control points and tie points that have a position in the block's system."""
     document = _document(path)
     block = document.block
     names = []
@@ -233,21 +244,24 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
             position = point.find("Position")
             if position is None or position.find("z") is None:
                 continue
-            if _has_own_system(block, container, point):
+            if _is_in_system_of_block(block, container, point):
                 names.append(name)
                 places.append(_centre(position))
     positions = np.array(places, np.float64).reshape(-1, 3)
-    if _system(document).is_geographic:
+    if _system_of_block(document).is_geographic:
         positions[:, :2] = np.radians(positions[:, [1, 0]])
     return pa.array(names, pa.string()), positions
 
 
-def _has_own_system(
+def _is_in_system_of_block(
     block: Element,
     container: str,
     point: Element,
 ) -> bool:
-    """Whether a point is in the spatial reference system of its block."""
+    """Whether a point is in the spatial reference system of its block.
+
+    ``container`` is the element of the point's list, ControlPoints or TiePoints.
+    """
     of_block = block.findtext("SRSId", "")
     of_container = block.findtext(f"{container}/SRSId", of_block)
     return point.findtext("SRSId", of_container) == of_block
@@ -255,7 +269,11 @@ def _has_own_system(
 
 @dataclass(frozen=True)
 class BlockSystem:
-    """What the spatial reference system of a block is: a frame, or a system of PROJ's."""
+    """The spatial reference system of a block.
+
+    Either ``frame`` is the frame of x, y, z, or ``crs`` is a system of PROJ's, with longitude and
+    latitude in degrees if ``is_geographic``. Both are None for a local system.
+    """
 
     frame: Literal["ecef"] | GeodeticOrigin | None = None
     crs: str | None = None
@@ -263,7 +281,7 @@ class BlockSystem:
 
 
 def _document(path: Path) -> _Document:
-    """What a file holds; refuses another kind of file, no block, and several."""
+    """Read the XML of a file; refuses another kind of file, and other than one block."""
     root = ElementTree.fromstring(path.read_bytes())
     if root.tag != "BlocksExchange":
         raise messages.not_blocks_exchange(
@@ -280,39 +298,43 @@ def _document(path: Path) -> _Document:
     return _Document(blocks[0], systems)
 
 
-def _groups(block: Element) -> dict[str, Element]:
-    """The photogroups by their names."""
+def _photogroups(block: Element) -> dict[str, Element]:
+    """The photogroups by name; their number, from 1, completes a missing or repeated name."""
     groups: dict[str, Element] = {}
     for number, group in enumerate(block.iterfind("Photogroups/Photogroup"), 1):
         name = group.findtext("Name", "").strip() or str(number)
-        groups[f"{name} {number}" if name in groups else name] = group
+        if name in groups:
+            name = f"{name} {number}"
+        groups[name] = group
     return groups
 
 
 def _image_names(block: Element) -> dict[str, str]:
-    """What the image of each photo is called, by the photo's id."""
+    """Id of a photo -> name of its image (see `_name_of_path`)."""
     paths = {}
     for photo in block.iterfind("Photogroups/Photogroup/Photo"):
-        written = text_of(photo, "ImagePath").replace("\\", "/")
-        paths[text_of(photo, "Id")] = PurePosixPath(written)
+        path_text = text_of(photo, "ImagePath").replace("\\", "/")
+        paths[text_of(photo, "Id")] = PurePosixPath(path_text)
     count = Counter(path.name for path in paths.values())
     names = {}
     for number, path in paths.items():
-        is_alone = count[path.name] == 1
-        names[number] = _name_of_path(path, is_alone=is_alone)
+        names[number] = _name_of_path(path, is_unique=count[path.name] == 1)
     return names
 
 
 def _name_of_path(
     path: PurePosixPath,
     *,
-    is_alone: bool,
+    is_unique: bool,
 ) -> str:
-    """A relative path, or the last part of an absolute one, with its folder if not alone."""
+    """The name of an image: a relative path, or of an absolute path the name of the file.
+
+    If this name is not unique in the block, the folder is before it.
+    """
     is_absolute = path.is_absolute() or ":" in path.parts[0]
     if not is_absolute:
         return str(path)
-    if is_alone or not path.parent.name:
+    if is_unique or not path.parent.name:
         return path.name
     return f"{path.parent.name}/{path.name}"
 
@@ -321,7 +343,11 @@ def _points(
     block: Element,
     container: str | None = None,
 ) -> Iterator[tuple[str, Element]]:
-    """Control points by their names, then tie points by their place."""
+    """Name and element of all control points, then of all tie points.
+
+    ``container``, ControlPoints or TiePoints, restricts them to one kind. A point without a name is
+    called control: or tie: and its number, from 1.
+    """
     if container in (None, "ControlPoints"):
         for number, point in enumerate(block.iterfind("ControlPoints/ControlPoint"), 1):
             name = point.findtext("Name", "").strip()
@@ -332,11 +358,11 @@ def _points(
             yield name or f"tie:{number}", point
 
 
-def _definition(
+def _definition_of_system(
     systems: Mapping[str, Element],
     number: str | None,
 ) -> str:
-    """The definition of a spatial reference system by its id; empty for a local one."""
+    """The definition of the spatial reference system with the id ``number``; empty without one."""
     if number is None:
         return ""
     system = systems.get(number.strip())
@@ -345,9 +371,9 @@ def _definition(
     return text_of(system, "Definition")
 
 
-def _system(document: _Document) -> BlockSystem:
-    """What the spatial reference system of a block is."""
-    definition = _definition(document.systems, document.block.findtext("SRSId"))
+def _system_of_block(document: _Document) -> BlockSystem:
+    """The spatial reference system of a block, from its definition."""
+    definition = _definition_of_system(document.systems, document.block.findtext("SRSId"))
     if definition.upper().startswith("ENU:"):
         numbers = [float(number) for number in definition[4:].split(",")]
         lat, lon, *height = numbers
@@ -375,7 +401,7 @@ def _refuse_other_system(
 
 
 def _is_not_accurate(element: Element) -> bool:
-    """Whether the program says that it has not estimated a part of a pose."""
+    """Whether the program has marked a part of a pose as not estimated (Accurate is false)."""
     accurate_text = element.findtext("Accurate", "true")
     return accurate_text.strip().lower() in ("false", "0")
 
@@ -385,7 +411,10 @@ def _centre(
     *,
     only_accurate: bool = True,
 ) -> list[float]:
-    """x, y, z; NaN without, and where the program says that it has not estimated them."""
+    """x, y, z of an element; NaN without the element.
+
+    Also NaN, with ``only_accurate``, if the program has marked them as not estimated.
+    """
     unknown = [np.nan, np.nan, np.nan]
     if element is None or (only_accurate and _is_not_accurate(element)):
         return unknown
@@ -396,17 +425,20 @@ def _rotation(
     element: Element | None,
     path: Path,
 ) -> Array:
-    """(3, 3) from the spatial reference system to the camera's axes; NaN where unknown."""
+    """(3, 3) from the spatial reference system to the camera's axes; NaN where unknown.
+
+    Refuses angles other than omega, phi, kappa.
+    """
     unknown = np.full((3, 3), np.nan)
     if element is None or _is_not_accurate(element):
         return unknown
-    given = {part.tag: part.text or "" for part in element}
-    if set(_MATRIX) <= given.keys():
-        return np.array([float(given[name]) for name in _MATRIX]).reshape(3, 3)
-    if set(_OPK) <= given.keys():
-        angles = [float(given[name]) for name in _OPK]
+    parts = {part.tag: part.text or "" for part in element}
+    if set(_MATRIX) <= parts.keys():
+        return np.array([float(parts[name]) for name in _MATRIX]).reshape(3, 3)
+    if set(_OPK) <= parts.keys():
+        angles = [float(parts[name]) for name in _OPK]
         return np.asarray(Rotation.from_euler("XYZ", angles, degrees=True).as_matrix().T)
-    names = [name for name in given if name != "Accurate"]
+    names = [name for name in parts if name != "Accurate"]
     if names:
         raise messages.rotation_unreadable(where=path, angles=", ".join(map(str, names)))
     return unknown

@@ -3,8 +3,8 @@
 Pixels are those of this package: the centre of the upper left pixel is (0.5, 0.5), x counts to the
 right, y down. A pose turns and moves from the frame of the model to the camera, which has x right,
 y down, z forward. A point is the number of its point3D; keypoints without one, and all of a
-database, are called ``image:index``. Read without pycolmap, which takes a camera file that is cut
-short without a word, streamed, and tested against what pycolmap writes.
+database, are called ``image:index``. Files are streamed, and read without pycolmap, which accepts a
+file of cameras that is cut off. The readers are tested with files that pycolmap writes.
 """
 
 import sqlite3
@@ -61,7 +61,10 @@ POINT2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
 def block_files(path: Path) -> tuple[Path, ...]:
-    """The database, a file of cameras, or cameras, images and points3D of a model's folder."""
+    """The database or file of cameras itself; of a folder its cameras, images and points3D.
+
+    These three, in this order, are binary files where images.bin exists, else texts.
+    """
     if not path.is_dir():
         return (path,)
     ending = ".bin" if (path / "images.bin").is_file() else ".txt"
@@ -74,7 +77,7 @@ def block_files(path: Path) -> tuple[Path, ...]:
 
 @dataclass(frozen=True)
 class _CameraRecord:
-    """A camera as a file has it; ``line`` is that of a text, else None."""
+    """A camera as a file has it; ``line`` is its line in a text, None in other files."""
 
     number: str
     model: str
@@ -84,7 +87,7 @@ class _CameraRecord:
     line: int | None = None
 
     def camera(self) -> Camera:
-        """The camera; a refusal names the line of a text."""
+        """Make the camera; an error names its line in a text."""
         try:
             return camera_of_model(
                 self.model,
@@ -106,7 +109,10 @@ def read_cameras(path: Path) -> CameraMakers:
 
 @dataclass(frozen=True, eq=False)
 class _ImageRecord:
-    """An image of a model: its pose (7,), keypoints (n, 2) and their point3D (n,), -1 for none."""
+    """An image of a model: its keypoints ``xy`` (n, 2) [px] and their point3D (n,), -1 for none.
+
+    ``pose`` (7,) is quaternion w, x, y, z and translation, from the model to the camera.
+    """
 
     name: str
     camera: str
@@ -116,7 +122,7 @@ class _ImageRecord:
 
 
 def read_images(path: Path) -> OrientationTable:
-    """The images of a model; refuses a database, which orients none."""
+    """The images of a model; refuses a database, which has no orientations."""
     names = []
     cameras = []
     poses = []
@@ -129,13 +135,14 @@ def read_images(path: Path) -> OrientationTable:
     translation = pose[:, 4:]
     centre = -np.einsum("nji,nj->ni", matrices_of(quaternion), translation)
     table = oriented_images(names, cameras, centre, quaternion)
-    return replace(table, notes=notes_on_texts(_of_model(path), len(names)))
+    return replace(table, notes=notes_on_texts(_files_of_model(path), len(names)))
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:
-    """The pose priors of a database; those of EXIF are latitude, longitude and height.
+    """The pose priors of a database, one entry for each coordinate system; none of a model.
 
-    Others are x, y, z in the frame of the model. A model has none.
+    Priors on WGS 84, as of EXIF, become latitude, longitude [rad] and height [m]; others are x, y,
+    z in the frame of the model.
     """
     if path.suffix.lower() != ".db":
         return ()
@@ -151,16 +158,16 @@ def read_places(path: Path) -> tuple[KnownPlaces, ...]:
 
 
 def _priors(path: Path) -> dict[int, dict[str, Array]]:
-    """The positions of images of a database, by their coordinate systems and names."""
+    """Coordinate system, of `_PRIOR_SYSTEMS` -> image -> its prior (3,), in the file's units."""
     query = (
         "SELECT images.name, position, coordinate_system FROM pose_priors JOIN images ON "
         "{key} = images.image_id WHERE position IS NOT NULL"
     )
     priors: dict[int, dict[str, Array]] = {}
-    with closing(opened(path)) as database:
+    with closing(open_database(path)) as database:
         columns = [row[1] for row in database.execute("PRAGMA table_info(pose_priors)")]
         if "position" not in columns:
-            return priors  # of COLMAP before 3.8
+            return priors  # a database of COLMAP before 3.8
         key = "corr_data_id" if "corr_data_id" in columns else "pose_priors.image_id"
         for name, blob, system in database.execute(query.format(key=key)):
             position = np.frombuffer(blob, "<f8")
@@ -180,12 +187,12 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
 
 
 def _keypoints_of_database(path: Path) -> Iterator[pa.RecordBatch]:
-    """The keypoints of a database; refuses one that has none."""
+    """The keypoints of a database; refuses a database without keypoints."""
     query = (
         "SELECT name, rows, cols, data FROM keypoints JOIN images USING (image_id) "
         "ORDER BY image_id"
     )
-    with closing(opened(path)) as database:
+    with closing(open_database(path)) as database:
         count = 0
         for name, *shape, blob in database.execute(query):
             rows, columns = shape
@@ -208,17 +215,17 @@ def _keypoints_of_database(path: Path) -> Iterator[pa.RecordBatch]:
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
-    """The points3D of a model."""
-    file = _of_model(path)[2]
+    """The numbers, as text, and (p, 3) positions of the points3D of a model."""
+    _, _, file = _files_of_model(path)
     numbers = []
     places = []
     if file.suffix == ".bin":
         with BinaryFile(file) as content:
             for _ in range(content.take("Q")[0]):
-                number, *place, track = content.take("Q3d11xQ")
+                number, *place, track = content.take("Q3d11xQ")  # 11 bytes: colour and error
                 numbers.append(str(number))
                 places.append(place)
-                content.skip(8 * track)
+                content.skip(8 * track)  # two integers of 32 bits for each image point
     else:
         for row in _text_rows(file, leading_words=1, fewest_fields=8):
             numbers.append(row.words[0])
@@ -249,10 +256,10 @@ def _cameras(file: Path) -> Iterator[_CameraRecord]:
 
 def _cameras_of_database(file: Path) -> Iterator[_CameraRecord]:
     query = "SELECT camera_id, model, width, height, params FROM cameras"
-    with closing(opened(file)) as database:
+    with closing(open_database(file)) as database:
         for number, code, *size, blob in database.execute(query):
             width, height = size
-            model, _ = _model(code, file)
+            model, _ = _camera_model(code, file)
             parameters = np.frombuffer(blob, "<f8").tolist()
             yield _CameraRecord(str(number), model, width, height, parameters)
 
@@ -262,14 +269,14 @@ def _cameras_of_binary(file: Path) -> Iterator[_CameraRecord]:
         for _ in range(content.take("Q")[0]):
             number, code, *size = content.take("iiQQ")
             width, height = size
-            model, count = _model(code, file)
+            model, count = _camera_model(code, file)
             parameters = content.take(f"{count}d")
             yield _CameraRecord(str(number), model, width, height, parameters)
 
 
 def _images(path: Path) -> Iterator[_ImageRecord]:
     """The images of a model, one after the other."""
-    file = _of_model(path)[1]
+    file = _files_of_model(path)[1]
     if file.suffix == ".bin":
         yield from _images_of_binary(file)
     else:
@@ -293,8 +300,11 @@ def _images_of_binary(file: Path) -> Iterator[_ImageRecord]:
 
 
 def _images_of_text(path: Path, file: Path) -> Iterator[_ImageRecord]:
-    """The images of a text, which has two lines for each; refuses cameras that are not there."""
-    cameras = {record.number for record in _cameras(_of_model(path)[0])}
+    """The images of images.txt (``file``), two lines for each; ``path`` is the model's folder.
+
+    Refuses an image with a camera that cameras.txt does not have.
+    """
+    cameras = {record.number for record in _cameras(_files_of_model(path)[0])}
     count = 0
     with TextFile(file) as lines:
         rows = iter(lines)
@@ -322,17 +332,17 @@ def _images_of_text(path: Path, file: Path) -> Iterator[_ImageRecord]:
     refuse_missing_records(file, count)
 
 
-UNSET_POINT = 2.0**64  # COLMAP's 2**64 - 1 for none, as scripts write it that read it unsigned
+UNSET_POINT = 2.0**64  # as float: COLMAP's 2**64 - 1 for no point, where scripts write it unsigned
 
 
 def _object_points(numbers: Array) -> Integers:
-    """The numbers of object points in a text, -1 for none; ValueError for what is no number."""
+    """(n,) numbers of object points as integers, -1 for none; ValueError for other numbers."""
     return exact_integers(np.where(numbers == UNSET_POINT, -1.0, numbers))
 
 
 @dataclass(frozen=True)
 class _TextRow:
-    """A line of a text: its number, the words at its begin, and the numbers behind them."""
+    """A line of a text: its number, its first words, and the numbers after these."""
 
     line: int
     words: list[str]
@@ -340,7 +350,10 @@ class _TextRow:
 
 
 def _text_rows(file: Path, *, leading_words: int, fewest_fields: int) -> Iterator[_TextRow]:
-    """The lines of a text that are no comments: ``leading_words``, then numbers alone."""
+    """The lines of a text, without comments: as many words as ``leading_words``, then numbers.
+
+    Refuses lines with fewer fields than ``fewest_fields``, and a text that is cut off.
+    """
     count = 0
     with TextFile(file) as lines:
         for line in lines:
@@ -355,21 +368,25 @@ def _text_rows(file: Path, *, leading_words: int, fewest_fields: int) -> Iterato
     refuse_missing_records(file, count)
 
 
-def _of_model(path: Path) -> tuple[Path, ...]:
+def _files_of_model(path: Path) -> tuple[Path, ...]:
+    """The files of cameras, images and points3D in a model's folder; refuses other paths."""
     if not path.is_dir():
         raise messages.not_a_model(where=path)
     return block_files(path)
 
 
-def _model(code: int, path: Path) -> tuple[str, int]:
-    """Name of a camera model, and how many parameters it has; refuses one of a later version."""
+def _camera_model(code: int, path: Path) -> tuple[str, int]:
+    """The name of the camera model with a number, and how many parameters it has.
+
+    Refuses a number that only later versions of COLMAP have.
+    """
     if not 0 <= code < len(_MODELS):
         raise messages.colmap_model_unknown(where=path, number=code, last=len(_MODELS) - 1)
     return _MODELS[code]
 
 
-def opened(path: Path) -> sqlite3.Connection:
-    """A database for reading only; refuses one with rows that are still in the log beside it."""
+def open_database(path: Path) -> sqlite3.Connection:
+    """Open a database for reading only; refuses it while rows are still in its write-ahead log."""
     log = Path(f"{path}-wal")
     if log.is_file() and log.stat().st_size:
         raise messages.database_in_use(where=path, log=log.name)

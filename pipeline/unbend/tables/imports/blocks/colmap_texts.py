@@ -1,10 +1,10 @@
 """Whether the texts of a COLMAP model are whole: by their comments, and by each other.
 
-A comment counts the records of a text, and the last line ends with a newline. Programs that filter
-or write models by themselves keep neither. So a text that lacks records or the end of its line is
-refused only where images and points of the model do not fit each other: each image point of a point
-is in the track of that point, each track leads to such an image point, and the images of the frames
-are there.
+COLMAP writes a comment with the number of records of a text, and a newline at the end of the last
+line. Other programs that filter or write models keep neither. So a text that lacks records or the
+last newline is refused only where images and points of the model do not fit each other. They fit if
+each image point with a point is in the track of that point, each entry of a track is such an image
+point, and all images of the frames exist.
 """
 
 import re
@@ -16,19 +16,22 @@ from unbend.messages import Notes
 from unbend.tables.imports.blocks import messages
 
 _COUNT = re.compile(rb"^# Number of \w+: (\d+)", re.M)
-_HEAD_BYTES = 1000  # comments stand before the first record
+_HEAD_BYTES = 1000  # contain the comments, which come before the first record
 
 
 @dataclass(frozen=True)
 class TextEnds:
-    """What a text says of its own length: records by its comment, None without; a last newline."""
+    """Signs that a text is complete: the number of records in its comment, and a last newline.
+
+    ``stated`` is None without such a comment.
+    """
 
     stated: int | None
     has_last_newline: bool
 
     @classmethod
     def of(cls, file: Path) -> "TextEnds":
-        """The ends of a file."""
+        """Read comment and last byte of a file; an empty file counts as ending with a newline."""
         with file.open("rb") as stream:
             count_match = _COUNT.search(stream.read(_HEAD_BYTES))
             stream.seek(max(file.stat().st_size - 1, 0))
@@ -38,28 +41,32 @@ class TextEnds:
 
 def refuse_missing_records(
     file: Path,
-    found: int,
+    count: int,
 ) -> None:
-    """Refuse a text with fewer records than it says, or no end, that others show to be cut."""
+    """Refuse a text that lacks records or its last newline, if the other texts show that it is cut.
+
+    ``count`` is the number of records that were read from it.
+    """
     ends = TextEnds.of(file)
-    is_short = ends.stated is not None and found < ends.stated
+    is_short = ends.stated is not None and count < ends.stated
     if ends.has_last_newline and not is_short:
         return
     folder = file.parent
     images = folder / "images.txt"
     points = folder / "points3D.txt"
-    is_whole = images.is_file() and points.is_file() and fit_each_other(images, points)
-    if is_short and not (is_whole and found):
+    has_both = images.is_file() and points.is_file()
+    is_consistent = has_both and fit_each_other(images, points)
+    if is_short and not (is_consistent and count):
         raise messages.records_missing(
             where=file,
-            found=found,
+            found=count,
             total=ends.stated or 0,
         )
-    if not is_whole and file.name in (images.name, points.name):
+    if not is_consistent and file.name in (images.name, points.name):
         raise messages.records_missing(
             where=file,
-            found=found,
-            total=ends.stated or found,
+            found=count,
+            total=ends.stated or count,
         )
 
 
@@ -67,8 +74,12 @@ def notes_on_texts(
     files: tuple[Path, ...],
     images: int,
 ) -> Notes:
-    """Warnings on the texts of a model that was read: counts of comments, a line without end."""
-    made = []
+    """Warnings on the texts of a model that was read.
+
+    They are on a comment with another number of images than ``images``, the number that was read,
+    and on a last line without a newline.
+    """
+    notes = []
     for file in files:
         if file.suffix != ".txt":
             continue
@@ -76,7 +87,7 @@ def notes_on_texts(
         is_of_images = file.name == "images.txt"
         if is_of_images and ends.stated not in (None, images):
             stated_count = ends.stated or 0
-            made.append(
+            notes.append(
                 messages.count_of_comment(
                     where=file,
                     found=images,
@@ -84,39 +95,42 @@ def notes_on_texts(
                 )
             )
         if not ends.has_last_newline:
-            made.append(messages.line_without_end(where=file))
-    return tuple(made)
+            notes.append(messages.line_without_end(where=file))
+    return tuple(notes)
 
 
 def fit_each_other(
     images: Path,
     points: Path,
 ) -> bool:
-    """Whether image points and the tracks of points name each other; False where unreadable."""
+    """Whether images.txt and points3D.txt have the same image points, and all images of the frames.
+
+    ``images`` and ``points`` are the two files; False where one cannot be read.
+    """
     try:
         by_images = image_points_of_images(images)
-        by_points = image_points_of_tracks(points)
+        by_tracks = image_points_of_tracks(points)
         in_frames = images_of_frames(images.with_name("frames.txt"))
-        there = {head.split(maxsplit=1)[0] for head, _ in images_with_points(images)}
+        image_ids = {head.split(maxsplit=1)[0] for head, _ in images_with_points(images)}
     except (ValueError, IndexError):
         return False
-    return by_images == by_points and in_frames <= there
+    return by_images == by_tracks and in_frames <= image_ids
 
 
 def images_of_frames(file: Path) -> set[str]:
-    """The images that frames hold; none without that file, which COLMAP 3.12 brought."""
+    """The ids of the images in frames.txt; none without that file, which is new in COLMAP 3.12."""
     images: set[str] = set()
     if not file.is_file():
         return images
     for line in file.read_text(encoding="utf-8-sig").splitlines():
         if line.strip() and not line.startswith("#"):
-            data = line.split()[10:]  # after two numbers, the pose and the count
-            images.update(data[2::3])
+            data = line.split()[10:]  # after frame, rig, pose (7 numbers) and the count of data
+            images.update(data[2::3])  # of each: type of sensor, sensor, image
     return images
 
 
 def images_with_points(file: Path) -> Iterator[tuple[str, str]]:
-    """The two lines of each image."""
+    """The two lines of each image in images.txt: its own, and that of its image points."""
     rows = iter(file.read_text(encoding="utf-8-sig").splitlines())
     for head in rows:
         if head.strip() and not head.startswith("#"):
@@ -124,25 +138,25 @@ def images_with_points(file: Path) -> Iterator[tuple[str, str]]:
 
 
 def image_points_of_images(file: Path) -> set[tuple[str, int, str]]:
-    """Image, place among its image points, and point, of those that belong to one."""
+    """The image points with a point in images.txt: image, index in the image, and point."""
     image_points = set()
     for head, line in images_with_points(file):
         image = head.split(maxsplit=1)[0]
         point_numbers = line.split()[2::3]
-        for place, number in enumerate(point_numbers):
+        for index, number in enumerate(point_numbers):
             if int(number) >= 0:
-                image_points.add((image, place, number))
+                image_points.add((image, index, number))
     return image_points
 
 
 def image_points_of_tracks(file: Path) -> set[tuple[str, int, str]]:
-    """The same by the tracks of the points."""
+    """The image points in the tracks of points3D.txt: image, index in the image, and point."""
     image_points = set()
     for line in file.read_text(encoding="utf-8-sig").splitlines():
         if not line.strip() or line.startswith("#"):
             continue
         number, *fields = line.split()
-        track = fields[7:]
-        for image, place in zip(track[::2], track[1::2], strict=True):
-            image_points.add((image, int(place), number))
+        track = fields[7:]  # after x, y, z, the colour and the error
+        for image, index in zip(track[::2], track[1::2], strict=True):
+            image_points.add((image, int(index), number))
     return image_points

@@ -1,11 +1,11 @@
 """The Damped Bundle Adjustment Toolbox: the XML script of a project, with the tables it names.
 
-Image points count from the outer corner of the upper left pixel, as COLMAP's: without another
-statement DBAT puts the principal point at half the size of the sensor, and its tables hold what
-Metashape exports (docs/decisions.md has the evidence). Millimetres of the principal point are
+Image points count from the outer corner of the upper left pixel, as COLMAP's: by default DBAT puts
+the principal point at half the size of the sensor, and its tables have the numbers that Metashape
+exports (docs/decisions.md has the evidence). Millimetres of the principal point are
 pixels times the pixel's size, y down. Orientations are the adjusted ones, of the report that the
-script names: omega, phi, kappa in degrees. A point is its id. Files that are not where the script
-says are looked for beside it.
+script names: omega, phi, kappa in degrees. A point is called by its id. A file that is not at the
+path in the script is searched next to the script.
 """
 
 import re
@@ -28,7 +28,7 @@ from unbend.units import Array
 
 SCRIPT_VERSION = "1.0"
 MODELS = (1, 2, 3)  # of distortion that are read
-PLAIN_CAMERA = {"skew": 0.0, "aspect": 1.0}  # values of a camera that can be corrected
+PLAIN_CAMERA = {"skew": 0.0, "aspect": 1.0}  # the only values that are supported
 NUMBERS_OF_PHOTO = 6  # three angles and three coordinates
 
 _PHOTO = re.compile(r"^ +Photo \d+: (.+)$", re.M)
@@ -43,16 +43,16 @@ def block_files(path: Path) -> tuple[Path, ...]:
         *root.iterfind("output/files/report/file"),
     ]
     names = {element.text or "": None for element in elements}
-    files_named = [_beside(path, name) for name in names]
+    files_named = [_existing_file(path, name) for name in names]
     return (path, *files_named)
 
 
 def read_cameras(path: Path) -> image_points.CameraMakers:
-    """The camera of the script, or of the file it names, by its id (1 where it has none)."""
+    """The cameras of the script, or of the file that it names, by their ids (1 without an id)."""
     root = _root(path)
     camera_file = root.findtext("input/cameras/file")
     if camera_file is not None:
-        root = _root(_beside(path, camera_file))
+        root = _root(_existing_file(path, camera_file))
     makers: image_points.CameraMakers = {}
     for camera in root.iter("camera"):
         number = camera.findtext("id", "1").strip()
@@ -61,14 +61,17 @@ def read_cameras(path: Path) -> image_points.CameraMakers:
 
 
 def read_images(path: Path) -> OrientationTable:
-    """The images with the orientations of the report."""
+    """The images with the orientations of the report.
+
+    Refuses a script without a report, and a script with no or several cameras.
+    """
     report_name = _root(path).findtext("output/files/report/file")
     cameras = read_cameras(path)
     if report_name is None:
         raise messages.dbat_without_report(where=path)
     if len(cameras) != 1:
         raise messages.dbat_cameras(where=path, cameras=len(cameras))
-    orientation_of_photo = _orientation_of_photos(_beside(path, report_name))
+    orientation_of_photo = _orientation_of_photos(_existing_file(path, report_name))
     photos = list(orientation_of_photo)
     orientation = np.array(list(orientation_of_photo.values()))
     orientation = orientation.reshape(-1, NUMBERS_OF_PHOTO)
@@ -84,10 +87,10 @@ def read_images(path: Path) -> OrientationTable:
 
 
 def _orientation_of_photos(report: Path) -> dict[str, list[float]]:
-    """Omega, phi, kappa [deg] and X, Y, Z of each photo of a report, by its name."""
+    """Name of each photo in a report -> omega, phi, kappa [deg] and X, Y, Z."""
     content = "\n".join(read_text(report))
     orientations, _, _ = content.partition("\n   Quality")
-    parts = _PHOTO.split(orientations)
+    parts = _PHOTO.split(orientations)  # text before the first photo, then name and text of each
     photos = parts[1::2]
     texts = parts[2::2]
     orientation_of_photo = {}
@@ -95,12 +98,12 @@ def _orientation_of_photos(report: Path) -> dict[str, list[float]]:
         numbers = [float(value) for value in _VALUE.findall(text)]
         if len(numbers) != NUMBERS_OF_PHOTO:
             raise messages.orientation_cut(where=report, image=photo)
-        orientation_of_photo[_name_of(photo)] = numbers
+        orientation_of_photo[_file_name(photo)] = numbers
     return orientation_of_photo
 
 
 def read_places(_: Path) -> tuple[KnownPlaces, ...]:
-    """None: a script has positions of control points alone."""
+    """No places: a script has only the positions of control points."""
     return ()
 
 
@@ -108,15 +111,15 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     """The image points of all tables, image by image."""
     image_names = {}
     for _, row in _tables(path, "images"):
-        image_names[row["id"]] = _name_of(row["path"])
+        image_names[row["id"]] = _file_name(row["path"])
     points: dict[str, list[str]] = {}
     pixels: dict[str, list[Array]] = {}
-    for place, row in _tables(path, "image_pts"):
+    for line_name, row in _tables(path, "image_pts"):
         number = row["im"]
         if number not in image_names:
             raise messages.image_number_unknown(
                 where=path,
-                place=place,
+                place=line_name,
                 number=number,
             )
         name = image_names[number]
@@ -129,7 +132,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
-    """The control and check points."""
+    """The ids and (p, 3) positions of the control and check points."""
     places = {}
     for kind in ("ctrl_pts", "check_pts"):
         for _, row in _tables(path, kind):
@@ -143,15 +146,15 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
 
 
 def _camera(element: ElementTree.Element, path: Path) -> Camera:
-    """The camera of an element of the script, or of a file of cameras."""
-    _refuse_not_plain(element, path)
+    """Make the camera of an element ``camera`` of the script, or of a file of cameras."""
+    _refuse_unsupported(element, path)
     size_px = _numbers(element, "image", "")
     sensor_mm = _numbers(element, "sensor", "")
     focal = element.findtext("focal", "")
     c_mm = float(_numbers(element, "cc", focal)[0])
     pixel_mm = sensor_mm / size_px
-    middle = "{},{}".format(*sensor_mm / 2.0)
-    principal_point_mm = _numbers(element, "pp", middle)
+    middle_of_sensor = "{},{}".format(*sensor_mm / 2.0)
+    principal_point_mm = _numbers(element, "pp", middle_of_sensor)
     coefficients = {
         **_coefficients(element, "K"),
         **_coefficients(element, "P"),
@@ -175,7 +178,7 @@ def _camera(element: ElementTree.Element, path: Path) -> Camera:
     return camera_of_report(report, (width, height))
 
 
-def _refuse_not_plain(element: ElementTree.Element, path: Path) -> None:
+def _refuse_unsupported(element: ElementTree.Element, path: Path) -> None:
     """Refuse a camera with a skew, another aspect than 1, or an unknown model of distortion."""
     for name, plain in PLAIN_CAMERA.items():
         if _numbers(element, name, str(plain))[0] != plain:
@@ -194,7 +197,7 @@ def _numbers(
     name: str,
     default: str,
 ) -> Array:
-    """The numbers of a child of an element, those of ``default`` where it has none."""
+    """The numbers, with commas between them, of a child of an element; ``default`` without it."""
     text = element.findtext(name, default).strip()
     if text == "default":
         text = default
@@ -202,7 +205,7 @@ def _numbers(
 
 
 def _coefficients(element: ElementTree.Element, letter: str) -> dict[str, float]:
-    """Coefficients ``k1``, ``k2``, ... of the child ``K``, or those of ``P``."""
+    """The coefficients k1, k2, ... of the child ``K`` of an element, or p1, p2, ... of ``P``."""
     values = _numbers(element, letter, "0")
     coefficients = {}
     for number, value in enumerate(values, start=1):
@@ -211,6 +214,7 @@ def _coefficients(element: ElementTree.Element, letter: str) -> dict[str, float]
 
 
 def _root(path: Path) -> ElementTree.Element:
+    """The root of a script or a file of cameras; refuses versions other than `SCRIPT_VERSION`."""
     root = ElementTree.fromstring(path.read_bytes())
     version = root.get("dbat_script_version")
     version = version or root.get("dbat_camera_version") or "unknown"
@@ -219,17 +223,20 @@ def _root(path: Path) -> ElementTree.Element:
     return root
 
 
-def _name_of(path: str) -> str:
+def _file_name(path: str) -> str:
     """The last part of a path of Windows or Unix."""
     return re.split(r"[\\/]", path.strip())[-1]
 
 
-def _beside(path: Path, name: str) -> Path:
-    """The file that a script names: where it says, or beside the script."""
+def _existing_file(path: Path, name: str) -> Path:
+    """The file that a script (``path``) names, at its path or else next to the script.
+
+    Refuses a file that is at neither place.
+    """
     name = name.strip()
     candidates = (
         path.parent / name,
-        path.parent / _name_of(name),
+        path.parent / _file_name(name),
     )
     for file in candidates:
         if file.is_file():
@@ -238,10 +245,13 @@ def _beside(path: Path, name: str) -> Path:
 
 
 def _tables(path: Path, kind: str) -> Iterator[tuple[str, dict[str, str]]]:
-    """Where each row of the tables of one kind stands, and its fields by their names."""
+    """File and line of each row in the tables of a kind, as text, and its fields by their names.
+
+    ``kind`` is an element of the script's input, as image_pts, which names these tables.
+    """
     for table in _root(path).iterfind(f"input/{kind}/file"):
         names = [name.strip() for name in table.attrib["format"].split(",")]
-        with image_points.TextFile(_beside(path, table.text or "")) as lines:
+        with image_points.TextFile(_existing_file(path, table.text or "")) as lines:
             for line in lines:
                 text, _, _ = line.partition("#")
                 if text.strip():
@@ -250,7 +260,7 @@ def _tables(path: Path, kind: str) -> Iterator[tuple[str, dict[str, str]]]:
 
 
 def _fields(text: str, names: list[str]) -> dict[str, str]:
-    """The fields of a row by their names; ValueError for coordinates that are no numbers."""
+    """The fields of a row by their names; ValueError for coordinates that are not numbers."""
     fields = [field.strip() for field in text.split(",", len(names) - 1)]
     row = dict(zip(names, fields, strict=True))
     for axis in ("x", "y", "z"):

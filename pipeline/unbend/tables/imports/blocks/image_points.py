@@ -1,9 +1,9 @@
-"""Images and image points of a block, whatever the program calls them, and records of its files.
+"""Tables of images and image points of a block of any program, and records of its files.
 
 Image points have the columns ``image``, ``point``, ``x_px``, ``y_px`` in COLMAP's pixels, and
-``keypoint``, the place of the row among those of its image, from 0. ``point`` is what the program
-calls the point; an image point that belongs to none is called ``image:keypoint``, so that every row
-has a name by which it goes back.
+``keypoint``, the index of the row among those of its image, from 0. ``point`` is the program's name
+of the point; an image point without one is called ``image:keypoint``, so that each row has a name
+that identifies it.
 """
 
 import mmap
@@ -25,6 +25,7 @@ from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Integers
 
 CameraMakers = dict[str, Callable[[], Camera]]
+"""Camera name -> function that makes the camera, or refuses its calibration."""
 
 
 def rows_of_image(
@@ -35,7 +36,11 @@ def rows_of_image(
     keypoint: ArrayLike | None = None,
     more: Mapping[str, pa.Array] | None = None,
 ) -> pa.RecordBatch:
-    """The rows of one image: (n, 2) pixels, names of points or numbers, of which -1 is none.
+    """The rows of one image, from the pixels ``xy`` (n, 2) of its image points.
+
+    ``point`` (n,) are names of points, or numbers with -1 for no point; None if no image point has
+    one. ``keypoint`` (n,) are their indices in the image, by default 0 to n - 1; ``more`` are
+    further columns (n,).
 
     >>> rows_of_image("a.jpg", [[1, 2], [3, 4]], np.array([17, -1]))["point"].to_pylist()
     ['17', 'a.jpg:1']
@@ -64,13 +69,16 @@ def _names_of_numbers(
     index: pa.Array,
     numbers: Integers | None,
 ) -> pa.StringArray:
-    """Names of points (n,): their numbers, or ``image:keypoint`` for -1, and without numbers."""
-    own_names = pc.binary_replace_slice(index.cast(pa.string()), 0, 0, f"{image}:")
+    """(n,) names of points: their numbers as text; ``image:keypoint`` for -1, or without numbers.
+
+    ``index`` (n,) is the keypoint of each row.
+    """
+    names_by_keypoint = pc.binary_replace_slice(index.cast(pa.string()), 0, 0, f"{image}:")
     if numbers is None:
-        return own_names
+        return names_by_keypoint
     number = pa.array(numbers, pa.int64())
-    placed = pc.greater_equal(number, 0)
-    return pc.if_else(placed, number.cast(pa.string()), own_names)
+    has_number = pc.greater_equal(number, 0)
+    return pc.if_else(has_number, number.cast(pa.string()), names_by_keypoint)
 
 
 def oriented_images(
@@ -80,7 +88,11 @@ def oriented_images(
     quaternion: ArrayLike,
     frame: Literal["ecef"] | GeodeticOrigin | None = None,
 ) -> OrientationTable:
-    """Images with (n, 3) positions, and (n, 4) quaternions from the frame to the camera."""
+    """The table of images (n,) with their cameras, (n, 3) positions and (n, 4) quaternions.
+
+    A quaternion w, x, y, z turns from the frame to the camera (x right, y down, z forward); NaN for
+    an image without a pose. ``frame`` is None where the files state none.
+    """
     return OrientationTable(
         image=np.array([*image], object),
         camera=np.array([*camera], object),
@@ -92,17 +104,23 @@ def oriented_images(
     )
 
 
-def of_points(rows: pa.RecordBatch, image: str, point: str) -> Integers:
-    """(k,) the rows, all of one image, that belong to a point; ``image``, ``point`` are columns."""
+def rows_with_point(rows: pa.RecordBatch, image: str, point: str) -> Integers:
+    """(k,) the indices of the rows that belong to a point, not called ``image:keypoint``.
+
+    All ``rows`` are of one image; ``image`` and ``point`` are the names of the columns.
+    """
     if len(rows) == 0:
         return np.empty(0, np.int64)
     names = rows[point].cast(pa.string())
-    has_own_name = pc.starts_with(names, f"{rows[image][0]}:")
-    return np.flatnonzero(~has_own_name.to_numpy(zero_copy_only=False))
+    is_by_keypoint = pc.starts_with(names, f"{rows[image][0]}:")
+    return np.flatnonzero(~is_by_keypoint.to_numpy(zero_copy_only=False))
 
 
 class TextFile:
-    """The lines of a text, stripped, in a ``with``: a ValueError in it names its last line."""
+    """Iterates over the lines of a text file, stripped; ``number`` is that of the last line.
+
+    As a context manager it turns a ValueError into an InputError that names this line.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -124,7 +142,10 @@ class TextFile:
 
 
 class BinaryFile:
-    """Little-endian records one behind the other, in a ``with``; refuses where they end early."""
+    """Reads little-endian records of a file, one after the other; refuses a file that is cut off.
+
+    As a context manager it also refuses bytes that are left after the last record.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -143,7 +164,7 @@ class BinaryFile:
             raise messages.bytes_behind(where=self.path, count=bytes_left)
 
     def skip(self, size: int) -> int:
-        """Pass ``size`` bytes; returns where they begin."""
+        """Move on by ``size`` bytes; returns the offset [bytes] at which they begin."""
         begin = self.offset
         if begin + size > len(self.content):
             raise messages.record_cut(
@@ -156,7 +177,7 @@ class BinaryFile:
         return begin
 
     def take(self, form: str) -> tuple[Any, ...]:
-        """The next numbers, as `struct` writes them."""
+        """The next numbers, in the format ``form`` of `struct` without its byte order."""
         form = f"<{form}"
         begin = self.skip(struct.calcsize(form))
         return struct.unpack_from(form, self.content, begin)
@@ -171,7 +192,7 @@ class BinaryFile:
         return np.frombuffer(self.content, kind, count, begin)
 
     def word(self) -> str:
-        """The next text, which ends with a zero."""
+        """The next text in UTF-8, which ends with a zero byte; the zero is not returned."""
         end = self.content.find(b"\0", self.offset)
         size = end + 1 - self.offset
         if end < 0:

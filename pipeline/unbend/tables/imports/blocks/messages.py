@@ -27,7 +27,7 @@ CAMERA_NAME = Code(
 
 
 def camera_unnamed(*, where: Path | str, cameras: str) -> InputError:
-    """A file of several cameras, and the mission file names none; ``cameras`` lists them."""
+    """A file has several cameras, and the mission file names none; ``cameras`` lists them."""
     return InputError(
         CAMERA_NAME,
         "it contains {cameras}, and no camera is named",
@@ -56,11 +56,11 @@ def _refused_import(
     return InputError(IMPORT_FORMAT, text, where=where, remedy=remedy, **values)
 
 
-# What a library says of a damaged file; ``program`` is the one whose format was expected.
+# Errors of libraries on a damaged file; ``program`` is the expected format.
 
 
 def damaged(*, where: Path | str, program: str) -> InputError:
-    """A reader ended in a way that says nothing to a user."""
+    """A file is damaged; the error of the library has no meaning for a user."""
     text = "as a file of {program}: something in it is not as that program writes it"
     return _refused_import(where, text, program=program)
 
@@ -73,13 +73,13 @@ def part_missing(*, where: Path | str, program: str, part: str) -> InputError:
 
 
 def not_json(*, where: Path | str, program: str, line: int) -> InputError:
-    """A line breaks the JSON of a file."""
+    """A line of a file is not valid JSON."""
     text = "as a file of {program}: line {line} is not valid JSON"
     return _refused_import(where, text, program=program, line=line)
 
 
 def not_xml(*, where: Path | str, program: str, line: int) -> InputError:
-    """A line breaks the XML of a file."""
+    """A line of a file is not valid XML."""
     text = "as a file of {program}: line {line} is not valid XML"
     return _refused_import(where, text, program=program, line=line)
 
@@ -91,7 +91,7 @@ def not_database(*, where: Path | str, program: str, error: str) -> InputError:
 
 
 def not_readable(*, where: Path | str, program: str, error: str) -> InputError:
-    """The operating system does not let a file be read."""
+    """The operating system reports an error on reading a file."""
     text = "as a file of {program}: it cannot be read: {error}"
     return _refused_import(where, text, program=program, error=error)
 
@@ -100,12 +100,12 @@ def not_readable(*, where: Path | str, program: str, error: str) -> InputError:
 
 
 def line_unreadable(*, where: Path | str, line: int) -> InputError:
-    """A line of a text has other fields, or no numbers where these belong."""
+    """A line of a text has a wrong number of fields, or text where a number belongs."""
     return _refused_import(where, "line {line} is not as that program writes it", line=line)
 
 
 def bytes_behind(*, where: Path | str, count: int) -> InputError:
-    """A binary file goes on after its last record."""
+    """A binary file has ``count`` bytes after its last record."""
     return InputError(
         IMPORT_FORMAT,
         "{count} extra bytes at the end: it is damaged, or of another version",
@@ -117,7 +117,7 @@ def bytes_behind(*, where: Path | str, count: int) -> InputError:
 
 
 def record_cut(*, where: Path | str, size: int, offset: int, needed: int) -> InputError:
-    """A binary file ends before the record that begins at a byte."""
+    """A binary file of ``size`` bytes ends within the record of ``needed`` bytes at ``offset``."""
     text = "the file was cut off: it has {size}, and the record from byte {offset} on {needed}"
     return _refused_import(where, text, size=Counted(size, "byte"), offset=offset, needed=needed)
 
@@ -133,7 +133,7 @@ def no_orientation(*, where: Path | str) -> InputError:
 
 
 def image_repeated(*, where: Path | str, image: str) -> InputError:
-    """An image stands twice in a block."""
+    """An image occurs twice in a block."""
     return InputError(
         ORIENTATION_REPEATED,
         "{image!r} occurs twice",
@@ -149,7 +149,7 @@ def no_rotation(*, where: Path | str, image: str) -> InputError:
 
 
 def position_beyond(*, where: Path | str, item: str, largest: float) -> InputError:
-    """A position is infinite or farther away than anything on earth, in any unit."""
+    """A position is infinite, or farther away than any on earth in any unit."""
     text = "the position of {item!r} has a coordinate of {largest:g}"
     return _refused_import(where, text, item=item, largest=largest)
 
@@ -158,7 +158,7 @@ def position_beyond(*, where: Path | str, item: str, largest: float) -> InputErr
 
 
 def not_a_model(*, where: Path | str) -> InputError:
-    """Orientations or points are asked of a database or a single file."""
+    """Orientations or points are needed, but the path is a database or a single file."""
     return _refused_import(
         where,
         "it is not a model: a database or a file has neither orientations nor object points",
@@ -170,13 +170,13 @@ def not_a_model(*, where: Path | str) -> InputError:
 
 
 def colmap_model_unknown(*, where: Path | str, number: int, last: int) -> InputError:
-    """The number of a camera model is of a later version of COLMAP."""
+    """The number of a camera model is unknown, as of a later version of COLMAP."""
     text = "its camera model number {number} is not known: COLMAP 4.2 has 0 to {last}"
     return _refused_import(where, text, number=number, last=last)
 
 
 def database_in_use(*, where: Path | str, log: str) -> InputError:
-    """Rows of a database still stand in the write-ahead log beside it."""
+    """A database has rows that are only in its write-ahead log, which is not read."""
     return _refused_import(
         where,
         "{log} next to it has rows that are not yet in the database",
@@ -188,7 +188,7 @@ def database_in_use(*, where: Path | str, log: str) -> InputError:
 def keypoints_cut(
     *, where: Path | str, image: str, size: int, rows: int, columns: int
 ) -> InputError:
-    """The keypoints of an image are not as many bytes as their rows and columns need."""
+    """The keypoints of an image have ``size`` bytes, which does not fit their rows and columns."""
     text = "the keypoints of {image!r} are {size}, not {rows} of {columns} float32"
     return _refused_import(
         where,
@@ -213,7 +213,7 @@ def matches_cut(*, where: Path | str, table: str, one: str, other: str) -> Input
 
 
 def camera_of_image_unknown(*, where: Path | str, line: int, image: str, camera: str) -> InputError:
-    """An image of a model is of a camera that its file of cameras does not have."""
+    """An image of a model has a camera that is not in the model's file of cameras."""
     text = "in line {line}, {image!r} has camera {camera}, which is not in cameras.txt"
     return _refused_import(where, text, line=line, image=image, camera=camera)
 
@@ -230,7 +230,7 @@ COLMAP_COUNT = Code(
 
 
 def count_of_comment(*, where: Path | str, found: int, stated: int) -> Message:
-    """The comment of a text counts other records than there are."""
+    """The comment of a text states another number of records than the text has (``found``)."""
     return warning(
         COLMAP_COUNT,
         "it has {found}, but its comment states {stated}: the records in the file are used",
@@ -241,7 +241,7 @@ def count_of_comment(*, where: Path | str, found: int, stated: int) -> Message:
 
 
 def line_without_end(*, where: Path | str) -> Message:
-    """The last line of a text has no end."""
+    """The last line of a text has no newline."""
     return warning(
         COLMAP_COUNT,
         "its last line has no end: if the file was cut there, its last number is wrong",
@@ -250,13 +250,13 @@ def line_without_end(*, where: Path | str) -> Message:
 
 
 def records_missing(*, where: Path | str, found: int, total: int) -> InputError:
-    """A text of COLMAP's has fewer or more records than its head says, or no end."""
+    """A text of COLMAP is cut off: ``found`` of ``total`` records were read."""
     text = "the file was cut off after {found} of {total}"
     return _refused_import(where, text, found=found, total=Counted(total, "record"))
 
 
 def keypoints_none(*, where: Path | str, pairs: int) -> InputError:
-    """A database of COLMAP's without keypoints."""
+    """A database of COLMAP has no keypoints; ``pairs`` of images have matches."""
     return InputError(
         OBS_EMPTY,
         "the database has no keypoints, but matches of {pairs}",
@@ -270,19 +270,19 @@ def keypoints_none(*, where: Path | str, pairs: int) -> InputError:
 
 
 def is_folder(*, where: Path | str) -> InputError:
-    """A folder stands where a file of Metashape's belongs."""
+    """The path of a Metashape file is a folder."""
     remedy = "name a .psz or .psx, or an exported .xml"
     return _refused_import(where, "it is a folder", remedy=remedy)
 
 
 def metashape_version(*, where: Path | str, tag: str, version: str) -> InputError:
-    """A document of a version of Metashape's that is not read."""
+    """A document has a version of Metashape that is not supported."""
     text = "it is a {tag} of version {version}; versions 1 and 2 of Metashape are supported"
     return _refused_import(where, text, tag=tag, version=version)
 
 
 def several_chunks(*, where: Path | str, chunks: int, names: str) -> InputError:
-    """A document of no chunk, or of several."""
+    """A document has no chunk, or several."""
     return _refused_import(
         where,
         "it has {chunks} ({names}); only one can be read",
@@ -293,7 +293,7 @@ def several_chunks(*, where: Path | str, chunks: int, names: str) -> InputError:
 
 
 def several_frames(*, where: Path | str, frames: int) -> InputError:
-    """A chunk of several frames, which are moments."""
+    """A chunk has several frames (moments of time)."""
     text = "the chunk has {frames} frames; only one can be read"
     return _refused_import(where, text, frames=frames)
 
@@ -304,7 +304,7 @@ def archive_part_missing(*, where: Path | str, part: str) -> InputError:
 
 
 def ply_cut(*, where: Path | str, part: str, size: int, records: int, each: int) -> InputError:
-    """The points of an archive are not as many bytes as their head says."""
+    """The points of an archive have ``size`` bytes, not ``records`` records of ``each`` bytes."""
     text = "{part} was cut off, or has another format: {size} for {records} of {each}"
     return _refused_import(
         where,
@@ -317,12 +317,12 @@ def ply_cut(*, where: Path | str, part: str, size: int, records: int, each: int)
 
 
 def calibration_missing(*, where: Path | str) -> InputError:
-    """A camera of Metashape's that was not adjusted."""
+    """A camera of Metashape has no adjusted calibration."""
     return _refused_import(where, "the camera has no adjusted calibration")
 
 
 def calibration_unusable(*, where: Path | str, coefficients: str, kind: str) -> InputError:
-    """A calibration has coefficients for which there is no camera here."""
+    """A calibration has coefficients that no camera of this package has."""
     return _refused_import(
         where,
         "{coefficients} of a {kind} calibration cannot be used",
@@ -347,7 +347,7 @@ def tracks_version(*, where: Path | str, first_line: str, expected: str) -> Inpu
 
 
 def several_reconstructions(*, where: Path | str, found: int) -> InputError:
-    """A file of no reconstruction, or of several."""
+    """A file has no reconstruction, or several."""
     return _refused_import(
         where,
         "{found}, each with separate cameras",
@@ -362,7 +362,10 @@ def vector_missing(*, where: Path | str, item: str, key: str) -> InputError:
 
 
 def reconstruction_in_utm(*, where: Path | str, evidence: str, name: str) -> InputError:
-    """ODM's reconstruction is in UTM minus an offset, and the one before is not beside it."""
+    """ODM's reconstruction is in UTM minus an offset, and the earlier one (``name``) is missing.
+
+    ``evidence`` is the file that shows it.
+    """
     return InputError(
         ORIENTATION_FRAME,
         (
@@ -385,7 +388,7 @@ BLOCK_ODM = Code(
 
 
 def reconstruction_before_odm(*, where: Path | str) -> Message:
-    """The reconstruction is the one from before ODM wrote UTM over the other."""
+    """The earlier reconstruction is read, not the one that ODM has overwritten in UTM."""
     return note(
         BLOCK_ODM,
         (
@@ -406,7 +409,7 @@ BLOCK_DISABLED = Code(
 
 
 def disabled_cameras(*, where: Path | str, names: Sequence[str]) -> Message:
-    """Disabled cameras are left out."""
+    """Disabled cameras are left out; ``names`` are those of their images."""
     return note(
         BLOCK_DISABLED,
         "{disabled} left out, the first is {first}",
@@ -420,7 +423,7 @@ def disabled_cameras(*, where: Path | str, names: Sequence[str]) -> Message:
 
 
 def several_of_pix4d(*, where: Path | str, name: str, files: int) -> InputError:
-    """A folder holds the parameters of several projects."""
+    """A folder has ``files`` files with the same ending of name, so of several projects."""
     return _refused_import(
         where,
         "it has {files} that end in {name}",
@@ -431,7 +434,7 @@ def several_of_pix4d(*, where: Path | str, name: str, files: int) -> InputError:
 
 
 def offset_missing(*, where: Path | str, name: str) -> InputError:
-    """The centres count from a place of a map that no file names."""
+    """The projection centres are relative to an offset, and no file states the offset."""
     return _refused_import(
         where,
         "its projection centres are relative to the project's offset, which is not in any file",
@@ -443,7 +446,7 @@ def offset_missing(*, where: Path | str, name: str) -> InputError:
 def files_of_pix4d_differ(
     *, where: Path | str, image: str, away_m: float, turned_deg: float
 ) -> InputError:
-    """An image has other poses in the two files of a project."""
+    """An image has different poses in the two files of a project."""
     return _refused_import(
         where,
         "{image!r} is {away_m:.3g} m away and turned by {turned_deg:.3g} deg in the file of "
@@ -459,17 +462,17 @@ def files_of_pix4d_differ(
 
 
 def is_folder_of_xml(*, where: Path | str) -> InputError:
-    """A folder stands where a file of BlocksExchange belongs."""
+    """The path of a BlocksExchange file is a folder."""
     return _refused_import(where, "it is a folder", remedy="name the exported .xml")
 
 
 def not_blocks_exchange(*, where: Path | str, tag: str) -> InputError:
-    """An XML of another kind."""
+    """An XML file is not a BlocksExchange; ``tag`` is its root."""
     return _refused_import(where, "it is a {tag}, not a BlocksExchange", tag=tag)
 
 
 def several_blocks(*, where: Path | str, blocks: int, names: str) -> InputError:
-    """A file of no block, or of several."""
+    """A file has no block, or several."""
     return _refused_import(
         where,
         "it has {blocks} ({names}); only one can be read",
@@ -490,7 +493,7 @@ def system_of_group(*, where: Path | str, name: str) -> InputError:
 
 
 def rotation_unreadable(*, where: Path | str, angles: str) -> InputError:
-    """A rotation is neither a matrix nor omega, phi, kappa."""
+    """A rotation is neither a matrix nor omega, phi, kappa; ``angles`` lists its elements."""
     return _refused_import(
         where,
         "its rotations are {angles}, and the format does not state the formula of these angles",
@@ -500,7 +503,7 @@ def rotation_unreadable(*, where: Path | str, angles: str) -> InputError:
 
 
 def photo_unknown(*, where: Path | str, point: str, number: str) -> InputError:
-    """A measurement is in a photo that the block does not have."""
+    """A point is measured in a photo that the block does not have."""
     text = "{point!r} is measured in photo {number}, which does not exist"
     return _refused_import(where, text, point=point, number=number)
 
@@ -509,13 +512,13 @@ def photo_unknown(*, where: Path | str, point: str, number: str) -> InputError:
 
 
 def dbat_version(*, where: Path | str, version: str) -> InputError:
-    """A script or a camera of another version of DBAT's."""
+    """A script or a camera has a version of DBAT that is not supported."""
     text = "it is a script of DBAT version {version}; only version 1.0 is supported"
     return _refused_import(where, text, version=version)
 
 
 def dbat_cameras(*, where: Path | str, cameras: int) -> InputError:
-    """A script of no or several cameras: its report does not say which image is of which."""
+    """A script has no or several cameras: its report does not state the camera of each image."""
     return _refused_import(
         where,
         "it has {cameras}; only one can be read",
@@ -525,7 +528,7 @@ def dbat_cameras(*, where: Path | str, cameras: int) -> InputError:
 
 
 def dbat_without_report(*, where: Path | str) -> InputError:
-    """A script that does not name the report of an adjustment."""
+    """A script does not name the report of an adjustment."""
     return _refused_import(
         where,
         "the script names no report, which has the orientations",
@@ -542,14 +545,14 @@ def orientation_cut(*, where: Path | str, image: str) -> InputError:
 
 
 def image_number_unknown(*, where: Path | str, place: str, number: str) -> InputError:
-    """A line of the image points names the number of an image that the script does not have."""
+    """An image point has the number of an image that the script does not have."""
     return _refused_import(
         where, "{place}: no image has the number {number}", place=place, number=number
     )
 
 
 def camera_not_plain(*, where: Path | str, name: str, plain: float) -> InputError:
-    """The skew or the aspect of a camera is one that cannot be used."""
+    """The skew or the aspect of a camera is not ``plain``, the only value that is supported."""
     return _refused_import(
         where, "the {name} of its camera is not {plain:g}", name=name, plain=plain
     )
@@ -608,7 +611,7 @@ def file_of_pix4d_missing(*, where: Path | str, name: str) -> InputError:
 
 
 def folder_of_project_missing(*, where: Path | str, name: str) -> InputError:
-    """The folder of a Metashape project, or an archive in it, is not beside the project's file."""
+    """The folder of a Metashape project, or an archive in it, does not exist."""
     return InputError(
         INPUT_MISSING,
         "the project names {name}, which does not exist",
@@ -622,7 +625,7 @@ def folder_of_project_missing(*, where: Path | str, name: str) -> InputError:
 
 
 def file_of_script_missing(*, where: Path | str, name: str) -> InputError:
-    """A file that a script of DBAT's names is neither there nor beside the script."""
+    """A file that a DBAT script names exists neither at its path nor next to the script."""
     return InputError(
         INPUT_MISSING,
         "the script names {name}",

@@ -5,11 +5,11 @@ Pixels count from the corner of the image, as COLMAP's: the centre of the upper 
 before version 1.3: u = cx + x' fx + y' skew. P1 belongs to x and P2 to y, the other way round than
 in OpenCV. A camera's transform leads from it (x right, y down, z forward) to its chunk, the chunk's
 to the earth's centre where it has a coordinate system, in the datum of that, else to local
-coordinates. A slave camera of a rig has no transform of its own where it follows its master: there
-it is the master's, times rotation and place of its sensor in the master's axes and the chunk's
-units. A marker has its label as name; a tie point is called ``tie:`` and its number. An image has
-the label of its camera; labels that repeat have the group's, or folders, before them. A camera that
-is disabled took no part in the adjustment: its pose is an old one, and it is left out.
+coordinates. A slave camera of a rig that follows its master has no transform in the file: it is the
+master's, times rotation and place of its sensor in the master's axes and the chunk's units. A
+marker has its label as name; a tie point is called ``tie:`` and its number. An image has the label
+of its camera; labels that repeat have the group's label, or a folder, before them. A camera that is
+disabled took no part in the adjustment: its pose is an old one, and it is left out.
 """
 
 from collections import Counter
@@ -41,6 +41,7 @@ from unbend.tables.imports.blocks.metashape_project import (
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array
 
+# Kind of calibration -> coefficients that no camera of this package has.
 _NOT_MODELLED = {"frame": ("p3", "p4"), "fisheye": ("p1", "p2", "p3", "p4", "b2", "skew")}
 
 
@@ -50,7 +51,7 @@ def block_files(path: Path) -> tuple[Path, ...]:
 
 
 def read_cameras(path: Path) -> CameraMakers:
-    """The calibration of each sensor by its label, with its number where labels repeat."""
+    """The camera of each sensor by its label, with its id where labels repeat."""
     root = document(path)
     if root.tag == "calibration":
         return {"calibration": partial(_camera, root, path)}
@@ -61,7 +62,7 @@ def read_cameras(path: Path) -> CameraMakers:
 
 
 def read_images(path: Path) -> OrientationTable:
-    """The cameras of the chunk with their transforms; unknown where one is not aligned."""
+    """The enabled cameras of the chunk with their poses; NaN for cameras that are not aligned."""
     chunk = only_chunk(path)
     all_cameras = [*chunk.iterfind("cameras//camera")]
     cameras = [camera for camera in all_cameras if _is_enabled(camera)]
@@ -83,7 +84,7 @@ def _names_of_sensors(
     chunk: ElementTree.Element,
     cameras: list[ElementTree.Element],
 ) -> list[str]:
-    """The name of each camera's sensor, empty for one that is not there."""
+    """(n,) the name of each camera's sensor; empty for a sensor that the chunk does not have."""
     sensors = _sensors(chunk)
     names = []
     for camera in cameras:
@@ -96,7 +97,7 @@ def _exterior_orientations(
     chunk: ElementTree.Element,
     cameras: list[ElementTree.Element],
 ) -> tuple[Array, Array]:
-    """(n, 3) positions and (n, 4) quaternions w, x, y, z of cameras; NaN of those not aligned."""
+    """(n, 3) positions and (n, 4) quaternions w, x, y, z of ``cameras``; NaN if not aligned."""
     all_cameras = [*chunk.iterfind("cameras//camera")]
     poses = _poses(chunk, all_cameras)  # a master may be disabled, and its slave not
     components = _components(all_cameras)
@@ -105,13 +106,16 @@ def _exterior_orientations(
     for row, camera in enumerate(cameras):
         number = camera.get("id", "")
         if number in poses:
-            to_earth = _to_earth(chunk, components[number])
-            position[row], quaternion[row] = _exterior_orientation(poses[number], to_earth)
+            transform = _chunk_transform(chunk, components[number])
+            position[row], quaternion[row] = _exterior_orientation(poses[number], transform)
     return position, quaternion
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:
-    """The reference of the cameras, in the chunk's coordinate system or its local coordinates."""
+    """The enabled references of cameras: their positions before the adjustment.
+
+    Latitude, longitude [rad] and height, or x, y, z in the local coordinates of the chunk.
+    """
     root = document(path)
     if root.tag == "calibration":
         return ()
@@ -148,20 +152,20 @@ def read_places(path: Path) -> tuple[KnownPlaces, ...]:
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
-    """Markers, then tie points, image by image."""
+    """The markers, then the tie points of each image, image by image."""
     chunk = only_chunk(path)
     frames = [*chunk.iterfind("frames/frame")] or [chunk]
     if len(frames) > 1:
         raise messages.several_frames(where=path, frames=len(frames))
-    marks = _marks(chunk, frames[0])
-    ties = _files_of_tie_points(frames[0])
+    markers = _markers_of_images(chunk, frames[0])
+    tie_point_files = _files_of_tie_points(frames[0])
     disabled = _disabled_cameras(chunk)
     for number, image in _image_names(chunk).items():
         if number in disabled:
             continue
-        points = marks.get(number, [])
-        if number in ties:
-            points += _tie_points(path, ties[number])
+        points = markers.get(number, [])
+        if number in tie_point_files:
+            points += _tie_points(path, tie_point_files[number])
         if points:
             names = [point.name for point in points]
             pixels = [(point.x, point.y) for point in points]
@@ -169,7 +173,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
 
 
 def _files_of_tie_points(frame: ElementTree.Element) -> dict[str | None, str]:
-    """The file of the project with the tie points in each image, by the camera's id."""
+    """Id of a camera -> file of the project with the tie points of its image."""
     files = {}
     for projections in frame.iterfind("point_cloud/projections"):
         files[projections.get("camera_id")] = projections.attrib["path"]
@@ -185,47 +189,47 @@ class _ImagePoint(NamedTuple):
 
 
 def _tie_points(path: Path, file: str) -> list[_ImagePoint]:
-    """The tie points in an image, by the file of the project that has them."""
+    """The tie points of an image; ``file`` is their file in the project or archive ``path``."""
     rows = vertices(path, file)[["id", "x", "y"]].tolist()
     return [_ImagePoint(f"tie:{number}", x, y) for number, x, y in rows]
 
 
-def _marks(
+def _markers_of_images(
     chunk: ElementTree.Element,
     frame: ElementTree.Element,
 ) -> dict[str, list[_ImagePoint]]:
-    """The markers in each image, by the camera's id: label of the marker, x and y."""
-    label = {}
+    """Id of a camera -> the markers that are measured in its image, by their labels."""
+    label_of_marker = {}
     for marker in chunk.iterfind("markers//marker"):
-        label[marker.get("id")] = marker.get("label", "")
-    marks: dict[str, list[_ImagePoint]] = {}
+        label_of_marker[marker.get("id")] = marker.get("label", "")
+    markers: dict[str, list[_ImagePoint]] = {}
     for marker in frame.iterfind("markers/marker"):
-        name = label[marker.get("marker_id")]
-        for place in marker.iterfind("location"):
-            if place.get("valid", "true") in ("false", "0"):
+        name = label_of_marker[marker.get("marker_id")]
+        for location in marker.iterfind("location"):
+            if location.get("valid", "true") in ("false", "0"):
                 continue
-            x = float(place.attrib["x"])
-            y = float(place.attrib["y"])
-            mark = _ImagePoint(name, x, y)
-            marks.setdefault(place.attrib["camera_id"], []).append(mark)
-    return marks
+            x = float(location.attrib["x"])
+            y = float(location.attrib["y"])
+            point = _ImagePoint(name, x, y)
+            markers.setdefault(location.attrib["camera_id"], []).append(point)
+    return markers
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
-    """The tie points of an archive."""
+    """The names and (p, 3) positions of the tie points, in the frame of the images."""
     chunk = only_chunk(path)
     cloud = chunk.find("frames/frame/point_cloud/points")
     if cloud is None:
         return pa.array([], pa.string()), np.empty((0, 3))
     points = vertices(path, cloud.attrib["path"])
-    to_earth = _to_earth(chunk, None)
+    transform = _chunk_transform(chunk, None)
     places = np.stack(
         [points[axis].astype(np.float64) for axis in "xyz"],
         axis=1,
     )
-    turned = to_earth.scale * places @ to_earth.turn.T
+    turned = transform.scale * places @ transform.rotation.T
     names = [f"tie:{number}" for number in points["id"].tolist()]
-    return pa.array(names, pa.string()), np.asarray(turned + to_earth.step)
+    return pa.array(names, pa.string()), np.asarray(turned + transform.translation)
 
 
 def _disabled_cameras(chunk: ElementTree.Element) -> list[str]:
@@ -240,13 +244,14 @@ def _is_enabled(element: ElementTree.Element) -> bool:
 
 
 def _image_names(chunk: ElementTree.Element) -> dict[str, str]:
-    """What the image of each camera is called, by the camera's id, in the order of the cameras.
+    """Id of each camera, in their order -> name of its image.
 
-    It is the camera's label; where several cameras have the same one, it has the label of the
-    camera's group before it, or, if they still have the same name, folders of the photo's path.
+    The name is the camera's label. Where several cameras have the same label, it is group/label, or
+    if that repeats too, folder/label with the folder of the photo.
     """
-    cameras = [*chunk.iterfind("cameras//camera")]
-    label = {camera.get("id", ""): camera.get("label", "") for camera in cameras}
+    label = {}
+    for camera in chunk.iterfind("cameras//camera"):
+        label[camera.get("id", "")] = camera.get("label", "")
     group_of_camera = {}
     for group in chunk.iterfind("cameras//group"):
         for camera in group.iterfind("camera"):
@@ -268,49 +273,53 @@ def _image_names(chunk: ElementTree.Element) -> dict[str, str]:
 
 
 def _repeated(names: Mapping[str, str]) -> list[str]:
-    """The keys whose name is that of another key too."""
+    """The keys with a name that another key has too."""
     count = Counter(names.values())
     return [key for key, name in names.items() if count[name] > 1]
 
 
 def _poses(chunk: ElementTree.Element, cameras: list[ElementTree.Element]) -> dict[str, Array]:
-    """(4, 4) from each camera to the chunk, by its id; of a slave without one by its master's."""
+    """Id of a camera -> (4, 4) from the camera to the chunk.
+
+    A slave camera without a transform has its master's and that of its sensor. Cameras that are not
+    aligned are left out.
+    """
     poses = {}
     for camera in cameras:
         transform = camera.findtext("transform")
         if transform:
             poses[camera.get("id", "")] = _numbers(transform).reshape(4, 4)
-    in_master = {}
+    master_from_sensors = {}
     for sensor in chunk.iter("sensor"):
-        in_master[sensor.get("id", "")] = _place_in_master(sensor)
+        master_from_sensors[sensor.get("id", "")] = _master_from_sensor(sensor)
     for camera in cameras:
         number = camera.get("id", "")
         master = camera.get("master_id", "")
         if number not in poses and master in poses:
-            from_sensor = in_master.get(camera.get("sensor_id", ""), np.eye(4))
-            poses[number] = poses[master] @ from_sensor
+            sensor_id = camera.get("sensor_id", "")
+            poses[number] = poses[master] @ master_from_sensors.get(sensor_id, np.eye(4))
     return poses
 
 
 def _numbers(text: str) -> Array:
-    """The numbers of a text with blanks between them."""
+    """The numbers of a text that are separated by blanks."""
     return np.array(text.split(), np.float64)
 
 
-def _place_in_master(sensor: ElementTree.Element) -> Array:
-    """(4, 4) from a sensor of a rig to the master's; Metashape leaves out what is none."""
+def _master_from_sensor(sensor: ElementTree.Element) -> Array:
+    """(4, 4) from a sensor of a rig to the master's sensor; an element that is missing is zero."""
     pose = np.eye(4)
-    turn = sensor.findtext("rotation")
-    step = sensor.findtext("translation") or sensor.findtext("location")
-    if turn:
-        pose[:3, :3] = _numbers(turn).reshape(3, 3)
-    if step:
-        pose[:3, 3] = _numbers(step)
+    rotation = sensor.findtext("rotation")
+    translation = sensor.findtext("translation") or sensor.findtext("location")
+    if rotation:
+        pose[:3, :3] = _numbers(rotation).reshape(3, 3)
+    if translation:
+        pose[:3, 3] = _numbers(translation)
     return pose
 
 
 def _components(cameras: list[ElementTree.Element]) -> dict[str, str | None]:
-    """The id of the component of each camera, by the camera's id; of a slave its master's."""
+    """Id of a camera -> id of its component or None; that of its master for a slave without."""
     component_ids = {camera.get("id", ""): camera.get("component_id") for camera in cameras}
     components = {}
     for camera in cameras:
@@ -323,47 +332,55 @@ def _components(cameras: list[ElementTree.Element]) -> dict[str, str | None]:
 
 
 @dataclass(frozen=True, eq=False)
-class _ToEarth:
-    """From a chunk to its coordinate system: scale, rotation (3, 3) and step (3,)."""
+class _ChunkTransform:
+    """Places x in a chunk to the earth or local coordinates: scale * rotation @ x + translation."""
 
     scale: float
-    turn: Array
-    step: Array
+    rotation: Array  # (3, 3)
+    translation: Array  # (3,) [m]; NaN if unknown
 
 
-def _to_earth(chunk: ElementTree.Element, component: str | None) -> _ToEarth:
-    """The transform of a chunk, or of a component of it; the step is NaN where it is not known."""
+def _chunk_transform(chunk: ElementTree.Element, component: str | None) -> _ChunkTransform:
+    """The transform of a chunk, or of its component with the id ``component``.
+
+    Without a transform in the file it is the identity. Of a chunk with several components the
+    translation is then NaN: how they are placed to each other is unknown.
+    """
     parts = chunk.findall("components/component")
     transform = chunk.find("transform")
     for part in parts:
         if component == part.get("id") or len(parts) == 1:
             transform = part.find("transform")
     if transform is None:
-        unknown = np.nan if len(parts) > 1 else 0.0
-        return _ToEarth(
+        coordinate = np.nan if len(parts) > 1 else 0.0
+        return _ChunkTransform(
             1.0,
             np.eye(3),
-            np.full(3, unknown),
+            np.full(3, coordinate),
         )
-    turn = _numbers(transform.findtext("rotation", "1 0 0 0 1 0 0 0 1"))
-    return _ToEarth(
+    rotation = _numbers(transform.findtext("rotation", "1 0 0 0 1 0 0 0 1"))
+    return _ChunkTransform(
         scale=float(transform.findtext("scale", "1")),
-        turn=turn.reshape(3, 3),
-        step=_numbers(transform.findtext("translation", "0 0 0")),
+        rotation=rotation.reshape(3, 3),
+        translation=_numbers(transform.findtext("translation", "0 0 0")),
     )
 
 
-def _exterior_orientation(pose: Array, to_earth: _ToEarth) -> tuple[Array, Array]:
-    """Position (3,) and quaternion (4,) w, x, y, z of a camera by its pose (4, 4) in the chunk."""
-    turn = to_earth.turn
-    turned = Rotation.from_matrix((turn @ pose[:3, :3]).T)
-    position = to_earth.scale * turn @ pose[:3, 3] + to_earth.step
-    return position, turned.as_quat()[[3, 0, 1, 2]]
+def _exterior_orientation(pose: Array, transform: _ChunkTransform) -> tuple[Array, Array]:
+    """Position (3,) and quaternion (4,) w, x, y, z of a camera.
+
+    ``pose`` (4, 4) leads from the camera to the chunk, the quaternion from the earth or local
+    coordinates to the camera.
+    """
+    rotation = transform.rotation
+    camera_rotation = Rotation.from_matrix((rotation @ pose[:3, :3]).T)
+    position = transform.scale * rotation @ pose[:3, 3] + transform.translation
+    return position, camera_rotation.as_quat()[[3, 0, 1, 2]]
 
 
 @dataclass(frozen=True)
 class _Sensor:
-    """A sensor of a chunk: its label, with its number where labels repeat, and its calibration."""
+    """A sensor of a chunk: its label, with its id where labels repeat, and its calibration."""
 
     name: str
     calibration: ElementTree.Element | None
@@ -382,7 +399,10 @@ def _sensors(root: ElementTree.Element) -> dict[str, _Sensor]:
 
 
 def _calibration_of(sensor: ElementTree.Element) -> ElementTree.Element | None:
-    """The adjusted calibration of a sensor, or the one that it has if it was held fixed."""
+    """The adjusted calibration of a sensor, or its only one; None if it was not adjusted.
+
+    The initial calibration is used only of a sensor that was kept fixed in the adjustment.
+    """
     adjusted = sensor.find("calibration[@class='adjusted']")
     if adjusted is not None:
         return adjusted
@@ -394,6 +414,7 @@ def _calibration_of(sensor: ElementTree.Element) -> ElementTree.Element | None:
 
 
 def _camera(calibration: ElementTree.Element | None, path: Path) -> Camera:
+    """Make the camera of a calibration; refuses None, and coefficients that are not modelled."""
     if calibration is None:
         raise messages.calibration_missing(where=path)
     width = _size_px(calibration, "width")
@@ -469,7 +490,7 @@ def _frame_of(
     width: int,
     height: int,
 ) -> list[float]:
-    """fx, fy, cx and cy [px], of which those before version 1.3 stand in the file."""
+    """fx, fy, cx and cy [px]; files before version 1.3 have these, later ones f, b1, cx and cy."""
     if calibration.find("fx") is not None:
         return [_number(calibration, name) for name in ("fx", "fy", "cx", "cy")]
     f = _number(calibration, "f")

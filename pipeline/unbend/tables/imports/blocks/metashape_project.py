@@ -1,9 +1,10 @@
-"""The documents of Metashape: archives (.psz), projects (.psx), and what was exported (.xml).
+"""The documents of Metashape: archives (.psz), projects (.psx), and exported files (.xml).
 
-An archive holds ``doc.xml`` and the tables that it names. A project is a small file beside a folder
-of the same name with the ending ``.files``: there ``project.zip`` names ``chunk.zip`` of each
-chunk, that ``frame.zip`` of each frame, that the archive of its tie points, each with a ``doc.xml``
-and paths that count from its own folder. All come as one document, as an archive has it.
+An archive contains ``doc.xml`` and the tables that it names. A project is a small file next to a
+folder of the same name with the ending ``.files``. In the folder ``project.zip`` names the
+``chunk.zip`` of each chunk, which names the ``frame.zip`` of each frame, which names the archive of
+its tie points. Each of these has a ``doc.xml`` with paths relative to its folder. All are returned
+as one document, as an archive has it.
 """
 
 import zipfile
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from unbend.tables.imports.blocks import messages
 
-_TYPES = {
+_TYPES_OF_PLY = {
     "float": "<f4",
     "double": "<f8",
     "int": "<i4",
@@ -26,11 +27,14 @@ _TYPES = {
     "ushort": "<u2",
     "char": "i1",
 }
-_OTHER_FILE = "|"  # between an archive and the name of a file in it, in paths of a project
+_PATH_SEPARATOR = "|"  # joins the path of a project's archive and the name of a file in it
 
 
 def files_of_project(path: Path) -> tuple[Path, ...]:
-    """The file itself; of a project its archives too. Refuses a folder, and archives that lack."""
+    """The file itself, and the archives of a project (.psx).
+
+    Refuses a folder, and a project with an archive that does not exist.
+    """
     if path.is_dir():
         raise messages.is_folder(where=path)
     if path.suffix.lower() != ".psx":
@@ -47,7 +51,7 @@ def files_of_project(path: Path) -> tuple[Path, ...]:
 
 
 def document(path: Path) -> ElementTree.Element:
-    """The document of a file, all of a project's parts in one; refuses a version after 2."""
+    """The XML document of a file, or of a project with all its parts; refuses versions after 2."""
     if path.suffix.lower() == ".psx":
         root = _document_of_project(_archive_of_project(path))
     elif zipfile.is_zipfile(path):
@@ -65,7 +69,7 @@ def document(path: Path) -> ElementTree.Element:
 
 
 def only_chunk(path: Path) -> ElementTree.Element:
-    """The chunk of a document; refuses none, and several."""
+    """The only chunk of a document; refuses a document with none or several."""
     chunks = [*document(path).iter("chunk")]
     if len(chunks) != 1:
         names = ", ".join(repr(chunk.get("label", "")) for chunk in chunks)
@@ -81,11 +85,15 @@ def vertices(
     path: Path,
     name: str,
 ) -> NDArray[np.void]:
-    """The vertices of a binary PLY in an archive, a structured array."""
+    """The vertices of a binary PLY as a structured array with the properties of the PLY.
+
+    ``name`` is a file in the archive ``path``, or in a project an archive and the file in it,
+    joined by `_PATH_SEPARATOR`.
+    """
     archive_path = path
-    if _OTHER_FILE in name:
-        other, name = name.split(_OTHER_FILE)
-        archive_path = Path(other)
+    if _PATH_SEPARATOR in name:
+        archive_name, name = name.split(_PATH_SEPARATOR)
+        archive_path = Path(archive_name)
     with zipfile.ZipFile(archive_path) as archive:
         if name not in archive.namelist():
             raise messages.archive_part_missing(
@@ -94,34 +102,37 @@ def vertices(
             )
         head, _, content = archive.read(name).partition(b"end_header\n")
     count = 0
-    kinds = []
-    for words in (line.split() for line in head.decode("ascii").splitlines()):
+    properties = []
+    for line in head.decode("ascii").splitlines():
+        words = line.split()
         if words[:2] == ["element", "vertex"]:
             count = int(words[2])
         elif words[:1] == ["property"]:
-            kinds.append((words[2], _TYPES[words[1]]))
-    kind = np.dtype(kinds)
-    if b"binary_little_endian" not in head or len(content) != count * kind.itemsize:
+            _, type_name, property_name = words[:3]
+            properties.append((property_name, _TYPES_OF_PLY[type_name]))
+    vertex_type = np.dtype(properties)
+    if b"binary_little_endian" not in head or len(content) != count * vertex_type.itemsize:
         raise messages.ply_cut(
             where=archive_path,
             part=name,
             size=len(content),
             records=count,
-            each=kind.itemsize,
+            each=vertex_type.itemsize,
         )
-    return np.frombuffer(content, kind)
+    return np.frombuffer(content, vertex_type)
 
 
 def _document_in(archive_path: Path) -> ElementTree.Element:
+    """The document ``doc.xml`` of an archive."""
     with zipfile.ZipFile(archive_path) as archive:
         return ElementTree.fromstring(archive.read("doc.xml"))
 
 
 def _archive_of_project(path: Path) -> Path:
-    """The archive that a project names; refuses where the folder is not beside it."""
+    """The archive ``project.zip`` that a project (.psx) names; refuses a project without it."""
     root = ElementTree.fromstring(path.read_bytes())
-    named = root.get("path", "{projectname}.files/project.zip")
-    archive = path.parent / named.replace("{projectname}", path.stem)
+    archive_name = root.get("path", "{projectname}.files/project.zip")
+    archive = path.parent / archive_name.replace("{projectname}", path.stem)
     if not archive.is_file():
         raise messages.folder_of_project_missing(
             where=path,
@@ -132,32 +143,40 @@ def _archive_of_project(path: Path) -> Path:
 
 def _parts(
     archive_path: Path,
-    where: str,
+    xpath: str,
 ) -> Iterator[tuple[ElementTree.Element, Path]]:
-    """The elements of an archive's document that stand for another archive, and its path."""
-    yield from _named_parts(_document_in(archive_path), archive_path, where)
+    """As `_named_parts`, of the document in an archive."""
+    yield from _named_parts(_document_in(archive_path), archive_path, xpath)
 
 
 def _named_parts(
     root: ElementTree.Element,
     archive_path: Path,
-    where: str,
+    xpath: str,
 ) -> Iterator[tuple[ElementTree.Element, Path]]:
-    for element in root.iterfind(where):
-        named = element.get("path")
-        if named is None:
+    """The elements of a document that name another archive, each with the path of that archive.
+
+    ``root`` is the document of the archive ``archive_path``; ``xpath`` finds the elements. Refuses
+    an archive that does not exist.
+    """
+    for element in root.iterfind(xpath):
+        part_name = element.get("path")
+        if part_name is None:
             continue
-        part = archive_path.parent / named
+        part = archive_path.parent / part_name
         if not part.is_file():
             raise messages.folder_of_project_missing(
                 where=archive_path,
-                name=named,
+                name=part_name,
             )
         yield element, part
 
 
 def _document_of_project(project: Path) -> ElementTree.Element:
-    """The document of a project, with chunks, frames and tie points in the place of their paths."""
+    """The document of a project, with its chunks, frames and tie points in place of their paths.
+
+    ``project`` is its archive ``project.zip``.
+    """
     root = _document_in(project)
     for chunk_place, chunk_path in _named_parts(root, project, "chunks/chunk"):
         chunk = _document_in(chunk_path)
@@ -167,7 +186,9 @@ def _document_of_project(project: Path) -> ElementTree.Element:
                 cloud = _document_in(cloud_path)
                 for element in cloud.iter():
                     if "path" in element.attrib:
-                        element.set("path", f"{cloud_path}{_OTHER_FILE}{element.attrib['path']}")
+                        element.set(
+                            "path", f"{cloud_path}{_PATH_SEPARATOR}{element.attrib['path']}"
+                        )
                 _put(cloud, cloud_place)
             _put(frame, frame_place)
         _put(chunk, chunk_place)
@@ -178,6 +199,6 @@ def _put(
     content: ElementTree.Element,
     place: ElementTree.Element,
 ) -> None:
-    """Put the content of a part's document in the place that named it."""
+    """Add attributes and children of a part's document to ``place``, the element that named it."""
     place.attrib.update(content.attrib)
     place.extend(content)

@@ -6,8 +6,9 @@ from COLMAP's. Rotation vectors and translations lead from the frame of the reco
 north, up at reference_lla, to the camera, which has x right, y down, z forward. A point is the
 number of its track.
 
-ODM writes over ``reconstruction.json``: UTM minus an offset, which ``coords.txt`` has. What was
-there before, east, north, up, it keeps as ``reconstruction.topocentric.json``: that is read.
+ODM overwrites ``reconstruction.json`` with coordinates in UTM minus an offset, which ``coords.txt``
+has. It keeps the earlier one, in east, north, up, as ``reconstruction.topocentric.json``: that is
+read.
 """
 
 import csv
@@ -38,6 +39,7 @@ from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.text_columns import LINE_OF_FIRST_ROW, numbers_of
 from unbend.units import Array, measured
 
+# Projection of OpenSfM -> model here, and names of its coefficients in order; "-" for 0.
 _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "perspective": ("BROWN", ("k1", "k2", "-", "-", "-")),
     "simple_radial": ("BROWN", ("k1", "-", "-", "-", "-")),
@@ -49,7 +51,7 @@ _COEFFICIENTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 _VERSION = "OPENSFM_TRACKS_VERSION_v2"
 _TOPOCENTRIC = "reconstruction.topocentric.json"
 _FLAG_OF_UTM = "exported_geocoords.txt"  # ODM writes it when reconstruction.json became UTM
-_COORDS = "odm_georeferencing/coords.txt"  # of ODM, beside the folder of the project
+_COORDS = "odm_georeferencing/coords.txt"  # of ODM, next to the folder of the project
 _ZONE = re.compile(r"UTM (\d{1,2})([NS])", re.I)
 _ROUNDING_M2 = 1e-6  # of coordinates in the file: positions that agree are not infinitely likely
 _NO_FIX_DOP = 1000.0  # OpenSfM writes 999999 for an image without a position
@@ -59,9 +61,10 @@ _COLUMNS = _COLUMNS_NEEDED + _COLUMNS_PASSED_ON
 
 
 def block_files(path: Path) -> tuple[Path, ...]:
-    """A file of cameras, or a reconstruction and tracks.csv, and reference_lla.json if any.
+    """The file of cameras itself; of a folder the reconstruction, tracks.csv and further files.
 
-    Refuses the reconstruction of ODM's that is in UTM, where the other one is not beside it.
+    Further files, if they exist, are reference_lla.json and ODM's coords.txt. Refuses a
+    reconstruction that ODM has written in UTM, if the earlier one is missing.
     """
     if not path.is_dir():
         return (path,)
@@ -77,11 +80,11 @@ def block_files(path: Path) -> tuple[Path, ...]:
     for file in needed:
         if not file.is_file():
             raise messages.file_of_project_missing(where=file, name=file.name)
-    beside = [path / "reference_lla.json"]
+    optional = [path / "reference_lla.json"]
     if reconstruction.name != _TOPOCENTRIC:
-        beside.append(path.parent / _COORDS)
-    optional = [file for file in beside if file.is_file()]
-    return (*needed, *optional)
+        optional.append(path.parent / _COORDS)
+    existing = [file for file in optional if file.is_file()]
+    return (*needed, *existing)
 
 
 def read_cameras(path: Path) -> CameraMakers:
@@ -96,14 +99,14 @@ def read_cameras(path: Path) -> CameraMakers:
 def read_images(path: Path) -> OrientationTable:
     """The shots of the reconstruction; its frame is east, north, up at reference_lla.
 
-    Refuses (ORIENTATION-FRAME) shots that meet their gps_position only in ODM's UTM.
+    Refuses (ORIENTATION-FRAME) shots that agree with their gps_position only in ODM's UTM.
     """
     content = _reconstruction(path)
     shots = content["shots"]
-    turn = Rotation.from_rotvec(_vectors(shots, "rotation", path))
+    rotation = Rotation.from_rotvec(_vectors_of(shots, "rotation", path))
     cameras = [shot["camera"] for shot in shots.values()]
-    centres = turn.inv().apply(-_vectors(shots, "translation", path))
-    quaternion = turn.as_quat()[:, [3, 0, 1, 2]]
+    centres = rotation.inv().apply(-_vectors_of(shots, "translation", path))
+    quaternion = rotation.as_quat()[:, [3, 0, 1, 2]]
     table = oriented_images(
         [*shots],
         cameras,
@@ -119,7 +122,11 @@ def read_images(path: Path) -> OrientationTable:
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:
-    """The positions of the shots by EXIF or geo.txt, east, north, up as the reconstruction."""
+    """The positions of the shots by EXIF or geo.txt, which OpenSfM has in the reconstruction.
+
+    They are latitude, longitude [rad] and height, or in the frame of the reconstruction if it has
+    no origin.
+    """
     if not path.is_dir():
         return ()
     content = _reconstruction(path)
@@ -149,7 +156,8 @@ def read_places(path: Path) -> tuple[KnownPlaces, ...]:
 def _refuse_utm(path: Path, table: OrientationTable) -> None:
     """Refuse shots whose gps_position is far more likely in the UTM of ODM's coords.txt.
 
-    The convergence of a grid turns a small block by less than receivers err: all shots decide.
+    All shots decide together: the convergence of a grid moves a shot of a small block by less than
+    the error of a receiver.
     """
     coords = path.parent / _COORDS
     places = read_places(path)
@@ -164,7 +172,7 @@ def _refuse_utm(path: Path, table: OrientationTable) -> None:
         return
     in_enu = topocentric(origin).local(gps_position)[:, :2]
     shots = table.position[has_position, :2]
-    ratio = _mean_square_apart(shots, in_enu) / _mean_square_apart(shots, in_utm)
+    ratio = _scatter_of_difference_m2(shots, in_enu) / _scatter_of_difference_m2(shots, in_utm)
     if len(shots) * np.log(ratio) > LOG_RATIO_NEEDED:
         raise messages.reconstruction_in_utm(
             where=block_files(path)[0],
@@ -174,34 +182,40 @@ def _refuse_utm(path: Path, table: OrientationTable) -> None:
 
 
 def _in_utm_of_odm(coords: Path, geodetic: Array) -> Array | None:
-    """(n, 2) x and y as ODM writes them, of (n, 3) places; None if the zone cannot be read."""
+    """(n, 2) x and y as ODM writes them: UTM minus the offset in ``coords``, ODM's coords.txt.
+
+    ``geodetic`` (n, 3) is latitude, longitude [rad] and height. None if the zone cannot be read.
+    """
     first_line, offset = coords.read_text(encoding="utf-8").splitlines()[:2]
     zone = _ZONE.search(first_line)
     if zone is None:
         return None
-    hemisphere = 326 if zone[2].upper() == "N" else 327
-    crs = f"EPSG:{hemisphere}{int(zone[1]):02d}"
+    first_digits = 326 if zone[2].upper() == "N" else 327
+    crs = f"EPSG:{first_digits}{int(zone[1]):02d}"  # UTM on WGS 84
     lat_deg, lon_deg = np.degrees(geodetic[:, :2]).T
     x, y, _ = grid_coordinates(crs, lon_deg, lat_deg)
     return np.stack([x, y], axis=1) - np.array(offset.split()[:2], np.float64)
 
 
-def _mean_square_apart(places: Array, others: Array) -> float:
-    """Mean square distance of (n, 2) places from others whose middle is theirs [m2]."""
-    apart = places - others
+def _scatter_of_difference_m2(places: Array, others: Array) -> float:
+    """Mean square distance [m2] of (n, 2) places from others, after removal of the mean offset."""
+    difference = places - others
     square = np.sum(
-        (apart - apart.mean(axis=0)) ** 2,
+        (difference - difference.mean(axis=0)) ** 2,
         axis=1,
     )
     return float(np.mean(square)) + _ROUNDING_M2
 
 
 def _origin(path: Path, content: Mapping[str, Any]) -> GeodeticOrigin | None:
-    """The place whose east, north and up are the frame, by the reconstruction or beside it."""
+    """The origin of the frame of east, north and up; None if it is not stated.
+
+    It is in the reconstruction (``content``), or in the file reference_lla.json of the folder.
+    """
     reference = content.get("reference_lla")
-    beside = path / "reference_lla.json"
-    if reference is None and beside.is_file():
-        reference = json.loads(beside.read_text(encoding="utf-8"))
+    reference_file = path / "reference_lla.json"
+    if reference is None and reference_file.is_file():
+        reference = json.loads(reference_file.read_text(encoding="utf-8"))
     if reference is None:
         return None
     latitude_deg = float(reference["latitude"])
@@ -214,9 +228,10 @@ def _origin(path: Path, content: Mapping[str, Any]) -> GeodeticOrigin | None:
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
-    """The rows of tracks.csv, image by image, with all their columns.
+    """The rows of tracks.csv, image by image, with all columns that have no gaps.
 
-    Pixels of an image that was not reconstructed are those of the only camera, or unknown.
+    The pixels of an image that was not reconstructed are computed with the size of the only camera;
+    with several cameras they are NaN.
     """
     content = _reconstruction(path)
     file = block_files(path)[1]
@@ -250,7 +265,7 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
 
 
 def _tracks_of(file: Path) -> pd.DataFrame:
-    """The columns of tracks.csv; refuses text for numbers with its line."""
+    """Read the columns `_COLUMNS` of tracks.csv; an error names the line of a wrong number."""
     kinds = dict.fromkeys(_COLUMNS, "float64")
     kinds["image"] = "str"
     kinds["track"] = "int64"
@@ -268,21 +283,21 @@ def _tracks_of(file: Path) -> pd.DataFrame:
         index_col=False,
     )
     try:
-        with np.errstate(invalid="ignore"):  # pandas casts 1e308, and then sees that it was none
+        with np.errstate(invalid="ignore"):  # pandas casts 1e308 to integers before it checks
             table: pd.DataFrame = read(dtype=kinds)
     except (ValueError, OverflowError):
         text = read(dtype="str").fillna("")
         text.index = text.index + LINE_OF_FIRST_ROW
-        for column in _COLUMNS[1:]:
+        for column in _COLUMNS[1:]:  # without the image
             numbers_of(text, column, file, IMPORT_FORMAT, largest=np.inf)
         raise
     return table
 
 
 def read_points(path: Path) -> tuple[pa.StringArray, Array]:
-    """The points of the reconstruction, by their tracks."""
+    """The points of the reconstruction: numbers of their tracks, and (p, 3) positions."""
     points = _reconstruction(path)["points"]
-    return pa.array(list(points), pa.string()), _vectors(
+    return pa.array(list(points), pa.string()), _vectors_of(
         points,
         "coordinates",
         path,
@@ -290,6 +305,7 @@ def read_points(path: Path) -> tuple[pa.StringArray, Array]:
 
 
 def _reconstruction(path: Path) -> dict[str, Any]:
+    """Read the reconstruction of a project; refuses a file with none or several."""
     file = block_files(path)[0]
     content = json.loads(file.read_text(encoding="utf-8"))
     if not isinstance(content, list) or len(content) != 1:
@@ -297,12 +313,12 @@ def _reconstruction(path: Path) -> dict[str, Any]:
     return dict(content[0])
 
 
-def _vectors(
+def _vectors_of(
     items: Mapping[str, Any],
     key: str,
     path: Path,
 ) -> Array:
-    """(n, 3) a vector of each item; refuses one that has none."""
+    """(n, 3) the vector ``key`` of each shot or point; refuses an item without three numbers."""
     for name, item in items.items():
         vector = item.get(key, ())
         if len(vector) != 3 or not all(isinstance(part, int | float) for part in vector):
@@ -316,17 +332,18 @@ def _vectors(
 
 
 def _camera(camera: Mapping[str, Any]) -> Camera:
-    """The camera of an entry of OpenSfM's cameras."""
+    """Make the camera of an entry of OpenSfM's cameras."""
     kind = camera["projection_type"]
     width = int(camera["width"])
     height = int(camera["height"])
-    # Of another kind nothing is known but its name, which is refused with those that are.
+    # An unknown kind is refused by `camera_of_model`, which lists the known ones.
     model, names = _COEFFICIENTS.get(kind, (kind, ()))
-    longer = float(max(width, height))
-    focal = float(camera["focal"] if "focal" in camera else camera["focal_x"]) * longer
-    focal_y = float(camera.get("focal_y", focal / longer)) * longer
-    cx = 0.5 * width + float(camera.get("c_x", 0.0)) * longer
-    cy = 0.5 * height + float(camera.get("c_y", 0.0)) * longer
+    longer_px = float(max(width, height))
+    focal = camera["focal"] if "focal" in camera else camera["focal_x"]
+    fx_px = float(focal) * longer_px
+    fy_px = float(camera.get("focal_y", fx_px / longer_px)) * longer_px
+    cx = 0.5 * width + float(camera.get("c_x", 0.0)) * longer_px
+    cy = 0.5 * height + float(camera.get("c_y", 0.0)) * longer_px
     coefficients = [float(camera.get(name, 0.0)) for name in names]
-    parameters = [focal, focal_y, cx, cy, *coefficients]
+    parameters = [fx_px, fy_px, cx, cy, *coefficients]
     return camera_of_model(model, width, height, parameters)

@@ -40,7 +40,7 @@ _SYSTEM = "wkt.prj"
 _TIES = "tp_pix4d.txt"
 _END_OF_IMAGE = "-99"
 _LAST_HEAD_LINE = "camera model"
-_NUMBERS = 9 + 3 + 2 + 3 + 9  # K, radial, tangential, t, R
+_NUMBERS = 9 + 3 + 2 + 3 + 9  # of an image: K, radial, tangential, t, R
 _LARGEST_DIFFERENCE_M = 0.01  # between both files: they have at least millimetres
 _LARGEST_DIFFERENCE = 1e-4  # between their rotations: angles have six decimals of a degree
 
@@ -50,35 +50,40 @@ _LARGEST_DIFFERENCE = 1e-4  # between their rotations: angles have six decimals 
     eq=False,
 )
 class CalibratedImage:
-    """An image of the file of cameras: name, size, and the numbers of its block."""
+    """An image of the file of calibrated camera parameters, with its camera and its pose."""
 
     name: str
-    size: tuple[int, int]
-    k: Array  # (3, 3)
+    size: tuple[int, int]  # width, height [px]
+    k: Array  # (3, 3) [px]
     distortion: Array  # (5,) k1, k2, k3, p1, p2
-    centre: Array  # (3,) from the offset
-    rotation: Array  # (3, 3)
+    centre: Array  # (3,) relative to the offset of the project
+    rotation: Array  # (3, 3) from the project's axes to the camera
 
     @property
     def interior(self) -> tuple[float, ...]:
-        """Size, K and distortion: images of one camera have the same."""
+        """Size, K and distortion, by which images of the same camera are recognised."""
         return (*self.size, *self.k.ravel().tolist(), *self.distortion.tolist())
 
 
 def block_files(path: Path) -> tuple[Path, ...]:
-    """The files of a project that are there; refuses a folder without one of parameters."""
-    files = [file for name in (_CAMERAS, _EXTERNAL) if (file := _beside(path, name)) is not None]
-    if not files:
+    """The files of a project that exist; refuses a path without a file of camera parameters."""
+    parameters = _existing_files(path, (_CAMERAS, _EXTERNAL))
+    if not parameters:
         raise messages.file_of_pix4d_missing(
             where=path,
             name=_CAMERAS,
         )
-    more = (_beside(path, name) for name in (_OFFSET, _SYSTEM, _TIES))
-    return (*files, *(file for file in more if file is not None))
+    return (*parameters, *_existing_files(path, (_OFFSET, _SYSTEM, _TIES)))
+
+
+def _existing_files(path: Path, name_endings: tuple[str, ...]) -> list[Path]:
+    """The files of a project with these endings of names, as far as they exist."""
+    files = [_file_of_project(path, ending) for ending in name_endings]
+    return [file for file in files if file is not None]
 
 
 def read_cameras(path: Path) -> CameraMakers:
-    """The cameras, which have no names: 1 for that of the first image, 2 for the next other one."""
+    """The cameras by number, as the file has no names: 1, 2, ... in the order of first images."""
     cameras: CameraMakers = {}
     for image in _first_of_each_camera(_images(path)):
         if image.k[0, 1]:
@@ -87,21 +92,25 @@ def read_cameras(path: Path) -> CameraMakers:
                 coefficients="skew",
                 kind="Pix4D",
             )
-        frame = [image.k[0, 0], image.k[1, 1], image.k[0, 2], image.k[1, 2]]
-        params = [float(number) for number in (*frame, *image.distortion)]
-        cameras[str(len(cameras) + 1)] = partial(camera_of_model, "BROWN", *image.size, params)
+        focal_and_centre = [image.k[0, 0], image.k[1, 1], image.k[0, 2], image.k[1, 2]]
+        parameters = [float(number) for number in (*focal_and_centre, *image.distortion)]
+        name = str(len(cameras) + 1)
+        cameras[name] = partial(camera_of_model, "BROWN", *image.size, parameters)
     return cameras
 
 
 def read_images(path: Path) -> OrientationTable:
-    """The images with their poses in the project's coordinate system, by both files if there.
+    """The images with their poses in the project's coordinate system.
 
-    Refuses files that contradict each other, and centres that count from an unknown place of a
-    known coordinate system.
+    They are from the file of camera parameters, or without it from the external parameters. Refuses
+    files that contradict each other, and centres relative to an unknown offset in a known
+    coordinate system.
     """
-    system = _beside(path, _SYSTEM)
-    crs = None if system is None else "\n".join(read_text(system)).strip() or None
-    external = _external(path)
+    system = _file_of_project(path, _SYSTEM)
+    crs = None
+    if system is not None:
+        crs = "\n".join(read_text(system)).strip() or None
+    external = _external_parameters(path)
     images = _images(path)
     if not images:
         names = [*external]
@@ -120,13 +129,13 @@ def read_images(path: Path) -> OrientationTable:
 
 
 def read_places(_: Path) -> tuple[KnownPlaces, ...]:
-    """None: the positions that images had before stand in other files."""
+    """No places: the positions of images before the adjustment are in files that are not read."""
     return ()
 
 
 def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
     """The tie points of a project, image by image."""
-    file = _beside(path, _TIES)
+    file = _file_of_project(path, _TIES)
     if file is None:
         raise messages.file_of_pix4d_missing(
             where=path,
@@ -154,37 +163,38 @@ def read_rows(path: Path) -> Iterator[pa.RecordBatch]:
 
 
 def read_points(_: Path) -> tuple[pa.StringArray, Array]:
-    """None: the parameters hold no object points."""
+    """No points: the files of parameters have none."""
     return pa.array([], pa.string()), np.empty((0, 3))
 
 
-def _beside(
+def _file_of_project(
     path: Path,
-    name: str,
+    name_ending: str,
 ) -> Path | None:
-    """The file of a project with an ending of its name, in a folder or beside another file.
+    """The file of a project with an ending of its name; None if it does not exist.
 
-    Files of one project have the same beginning.
+    ``path`` is the project's folder, which may have only one such file, or another file of the
+    project: the names of all its files have the same beginning.
     """
     if not path.is_dir():
         beginning = path.name
-        for ending in (_CAMERAS, _EXTERNAL, _OFFSET, _SYSTEM, _TIES):
-            beginning = beginning.removesuffix(ending)
-        file = path.with_name(beginning + name)
+        for other_ending in (_CAMERAS, _EXTERNAL, _OFFSET, _SYSTEM, _TIES):
+            beginning = beginning.removesuffix(other_ending)
+        file = path.with_name(beginning + name_ending)
         return file if file.is_file() else None
-    files = sorted(file for file in path.iterdir() if file.name.endswith(name))
+    files = sorted(file for file in path.iterdir() if file.name.endswith(name_ending))
     if len(files) > 1:
         raise messages.several_of_pix4d(
             where=path,
-            name=name,
+            name=name_ending,
             files=len(files),
         )
     return files[0] if files else None
 
 
 def _images(path: Path) -> list[CalibratedImage]:
-    """The images of the file of cameras; none without it."""
-    file = _beside(path, _CAMERAS)
+    """The images of the file of calibrated camera parameters; none without that file."""
+    file = _file_of_project(path, _CAMERAS)
     if file is None:
         return []
     images: list[CalibratedImage] = []
@@ -198,7 +208,7 @@ def _images(path: Path) -> list[CalibratedImage]:
             name, width, height = line.rsplit(maxsplit=2)
             numbers: list[float] = []
             while len(numbers) < _NUMBERS:
-                numbers += map(float, next(rows, "end").split())
+                numbers += map(float, next(rows, "end").split())  # at the end: not a number
             if len(numbers) > _NUMBERS:
                 raise ValueError
             values = np.array(numbers)
@@ -216,16 +226,16 @@ def _images(path: Path) -> list[CalibratedImage]:
 
 
 def _first_of_each_camera(images: list[CalibratedImage]) -> list[CalibratedImage]:
-    """The first image of each interior orientation."""
+    """The first image of each camera, which is recognised by its interior orientation."""
     first: dict[tuple[float, ...], CalibratedImage] = {}
     for image in images:
         first.setdefault(image.interior, image)
     return [*first.values()]
 
 
-def _external(path: Path) -> dict[str, list[float]]:
-    """X, Y, Z and omega, phi, kappa [deg] of each image; none without that file."""
-    file = _beside(path, _EXTERNAL)
+def _external_parameters(path: Path) -> dict[str, list[float]]:
+    """Image -> X, Y, Z [m] and omega, phi, kappa [deg]; empty without the file of these."""
+    file = _file_of_project(path, _EXTERNAL)
     poses: dict[str, list[float]] = {}
     if file is None:
         return poses
@@ -251,8 +261,11 @@ def _offset(
     external: dict[str, list[float]],
     crs: str | None,
 ) -> Array:
-    """(3,) what the centres count from: by its file, or by the file of external parameters."""
-    file = _beside(path, _OFFSET)
+    """(3,) the offset to add to the centres, from its file, or from the external parameters.
+
+    Without both it is 0, and refused if the project has a coordinate system, ``crs``.
+    """
+    file = _file_of_project(path, _OFFSET)
     if file is not None:
         with TextFile(file) as lines:
             numbers = [float(field) for line in lines for field in line.split()]
@@ -262,10 +275,10 @@ def _offset(
                 line=1,
             )
         return np.array(numbers)
-    both = [image for image in images if image.name in external]
-    if both:
-        apart = [np.array(external[image.name][:3]) - image.centre for image in both]
-        return np.asarray(np.median(np.array(apart), axis=0))
+    in_both = [image for image in images if image.name in external]
+    if in_both:
+        offsets = [np.array(external[image.name][:3]) - image.centre for image in in_both]
+        return np.asarray(np.median(np.array(offsets), axis=0))
     if crs is not None:
         raise messages.offset_missing(
             where=path,
@@ -279,22 +292,22 @@ def _refuse_contradiction(
     table: OrientationTable,
     external: dict[str, list[float]],
 ) -> None:
-    """Refuse an image that has other poses in the two files."""
+    """Refuse an image with a pose in ``table`` that differs from its ``external`` parameters."""
     for row, name in enumerate(table.image.tolist()):
         if name not in external:
             continue
         values = np.array(external[name])
         angles = np.radians(values[None, 3:])
-        other = matrices_of(quaternion_of_opk(angles, "omega_phi_kappa"))[0]
+        external_rotation = matrices_of(quaternion_of_opk(angles, "omega_phi_kappa"))[0]
         rotation = matrices_of(table.angles[row : row + 1])[0]
-        away_m = float(np.abs(table.position[row] - values[:3]).max())
-        turned = float(np.abs(rotation - other).max())
-        if away_m > _LARGEST_DIFFERENCE_M or turned > _LARGEST_DIFFERENCE:
+        distance_m = float(np.abs(table.position[row] - values[:3]).max())
+        turned_rad = float(np.abs(rotation - external_rotation).max())  # about the angle between
+        if distance_m > _LARGEST_DIFFERENCE_M or turned_rad > _LARGEST_DIFFERENCE:
             raise messages.files_of_pix4d_differ(
                 where=path,
                 image=name,
-                away_m=away_m,
-                turned_deg=float(np.degrees(turned)),
+                away_m=distance_m,
+                turned_deg=float(np.degrees(turned_rad)),
             )
 
 
