@@ -39,7 +39,12 @@ from unbend.tables.imports.blocks.blocks_exchange_cameras import (
     pixel_of,
     text_of,
 )
-from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
+from unbend.tables.imports.blocks.image_points import (
+    CameraMakers,
+    oriented_images,
+    rows_of_image,
+    unused_camera_name,
+)
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array
 
@@ -302,10 +307,8 @@ def _photogroups(block: Element) -> dict[str, Element]:
     """The photogroups by name; their number, from 1, completes a missing or repeated name."""
     groups: dict[str, Element] = {}
     for number, group in enumerate(block.iterfind("Photogroups/Photogroup"), 1):
-        name = group.findtext("Name", "").strip() or str(number)
-        if name in groups:
-            name = f"{name} {number}"
-        groups[name] = group
+        label = group.findtext("Name", "").strip() or str(number)
+        groups[unused_camera_name(label, str(number), groups)] = group
     return groups
 
 

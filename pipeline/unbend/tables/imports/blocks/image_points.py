@@ -8,7 +8,7 @@ that identifies it.
 
 import mmap
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -79,6 +79,18 @@ def _names_of_numbers(
     number = pa.array(numbers, pa.int64())
     has_number = pc.greater_equal(number, 0)
     return pc.if_else(has_number, number.cast(pa.string()), names_by_keypoint)
+
+
+def unused_camera_name(label: str, number: str, taken: Container[str]) -> str:
+    """The label of a camera; where that is taken, with its number behind it until it is not.
+
+    >>> unused_camera_name("RGB", "3", {"RGB", "RGB 3"})
+    'RGB 3 3'
+    """
+    name = label
+    while name in taken:
+        name = f"{name} {number}"
+    return name
 
 
 def oriented_images(

@@ -31,7 +31,12 @@ from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.tables.geodata.coordinate_systems import is_on_wgs84, lat_lon_of
 from unbend.tables.geodata.geocentric_datums import datum_of
 from unbend.tables.imports.blocks import messages
-from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
+from unbend.tables.imports.blocks.image_points import (
+    CameraMakers,
+    oriented_images,
+    rows_of_image,
+    unused_camera_name,
+)
 from unbend.tables.imports.blocks.metashape_project import (
     document,
     files_of_project,
@@ -391,8 +396,7 @@ def _sensors(root: ElementTree.Element) -> dict[str, _Sensor]:
     sensors: dict[str, _Sensor] = {}
     names: set[str] = set()
     for sensor in root.iter("sensor"):
-        label = sensor.get("label", "")
-        name = f"{label} {sensor.get('id')}" if label in names else label
+        name = unused_camera_name(sensor.get("label", ""), sensor.get("id", ""), names)
         names.add(name)
         sensors[sensor.get("id", name)] = _Sensor(name, _calibration_of(sensor))
     return sensors
