@@ -87,8 +87,9 @@ class CameraSection(Section):
     file: PathText | None = Field(
         None,
         description=(
-            "calibration file of COLMAP, OpenSfM or ODM, Metashape or DBAT; then this section "
-            "contains no numbers. By default the block of the observations, if they are a block"
+            "calibration file of COLMAP, OpenSfM or ODM, Metashape, Pix4D, BlocksExchange or DBAT; "
+            "then this section contains no numbers. By default the block of the observations, if "
+            "they are a block"
         ),
         examples=["cameras.txt"],
     )

@@ -69,7 +69,8 @@ class ObservationsSection(Section):
         description=(
             "csv or parquet, if the ending does not show it; or the block of another program, "
             "with its cameras and orientations: colmap, a model's folder or a database; opensfm, a "
-            "project's folder; metashape, a .psz or .xml; dbat, a script"
+            "project's folder; metashape, a .psz, .psx or .xml; pix4d, a folder params; "
+            "blocksexchange, an .xml; dbat, a script"
         ),
         examples=["csv"],
     )
