@@ -26,6 +26,7 @@ from unbend.batch.proposal.log_facts import (
 )
 from unbend.batch.proposal.mission_text import propose_mission
 from unbend.batch.proposal.proposed_cameras import proposed_cameras
+from unbend.batch.proposal.table_facts import block_format
 from unbend.flight.channels import Channel
 from unbend.flight.image_names import name_series
 
@@ -409,6 +410,22 @@ def test_every_kind_of_beginning(words, expected, beginnings, obeyed, todo_of_ch
     if "--images" in words:
         assert tree["events"]["images"]["path"] == "project/images.csv"
     assert todo_of_check(out) == keys_of_todo(tree)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "program"),
+    [
+        ("block.xml", '<?xml version="1.0"?>\n<BlocksExchange version="3.2">', "blocksexchange"),
+        ("block.xml", "<document><chunks/></document>", "metashape"),
+        ("block.xml", "<!-- DBAT --><document/>", "dbat"),
+        ("flight_calibrated_camera_parameters.txt", "fileName imageWidth", "pix4d"),
+    ],
+)
+def test_the_program_of_a_block(name, text, program, tmp_path):
+    file = tmp_path / name
+    file.write_text(text, "utf-8")
+
+    assert block_format(tmp_path if program == "pix4d" else file) == program
 
 
 def test_a_folder_is_no_beginning(unbend, beginnings):

@@ -34,6 +34,11 @@ NAME_OF_HEIGHT = re.compile(
 FILES_OF_BLOCKS = {"cameras.bin": "colmap", "cameras.txt": "colmap", OPENSFM_FILE: "opensfm"}
 """The program that writes a file of this name into the folder of a block."""
 
+PIX4D_CAMERAS = "calibrated_camera_parameters.txt"  # end of the name of Pix4D's file of cameras
+
+WORDS_OF_XML = {b"dbat": "dbat", b"<blocksexchange": "blocksexchange"}
+"""The program that writes an XML file with this word near its beginning, in lower case."""
+
 ENDINGS_OF_BLOCKS = {".psz": "metashape", ".db": "colmap"}
 """The program that writes a block as one file with this ending."""
 
@@ -76,11 +81,17 @@ def block_format(path: Path) -> str:
         for name, program in FILES_OF_BLOCKS.items():
             if (path / name).is_file():
                 return program
-        raise messages.folder_is_no_block(where=path, files=", ".join(FILES_OF_BLOCKS))
+        if any(path.glob(f"*{PIX4D_CAMERAS}")):
+            return "pix4d"
+        files = ", ".join([*FILES_OF_BLOCKS, f"..._{PIX4D_CAMERAS}"])
+        raise messages.folder_is_no_block(where=path, files=files)
     ending = path.suffix.lower()
     if ending == ".xml" and path.is_file():
         head = path.read_bytes()[:MOST_BYTES_OF_HEAD].lower()
-        return "dbat" if b"dbat" in head else "metashape"
+        for word, program in WORDS_OF_XML.items():
+            if word in head:
+                return program
+        return "metashape"
     return ENDINGS_OF_BLOCKS.get(ending, "")
 
 
