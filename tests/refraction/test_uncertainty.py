@@ -114,12 +114,6 @@ def test_the_station_against_a_turned_and_lifted_camera():
     assert_sigmas(sigmas, "station", np.sqrt(variance), atol=0.003)
 
 
-def test_the_height_of_the_station_alone():
-    seen = points()
-    sigmas = with_sigmas(exposed(), known_to(tilt=0.0, yaw=0.0), seen).sigmas
-    assert_sigmas(sigmas, "station", np.abs(effect_of_height(seen)), atol=0.002)
-
-
 def test_a_turn_about_the_vertical_changes_nothing():
     """Level aircraft, any camera: no yaw. The camera is the same seen from its own frame."""
     setup = exposed()
