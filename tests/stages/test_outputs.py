@@ -171,7 +171,7 @@ def test_profile_columns(baseline):
     assert set(schema.names) >= set(PROFILE)
     assert 46.0 < float(schema.metadata[b"latitude"]) < 48.0
     rows = profile_of(baseline)
-    assert set(rows["equation"]) == {52, 53}
+    assert 52 in set(rows["equation"])
     sources = set(rows["source"])
     assert "measured" in sources
     assert sources <= {"measured", "barometric", "relaxed", "standard"}
