@@ -275,12 +275,6 @@ def with_any_static(sensors, rng):
     return sensors
 
 
-def expected_static(sensors, rng):
-    """The same with the share that the estimator expects to be lost: 0.1 %, of one in ten 3 %."""
-    lost = rng.spawn(1)[0].normal(0.0, 0.001)
-    return with_any_static(replace(sensors, pressure_scale=lost), rng)
-
-
 def surveyed(rng):
     """The same with heights of a survey receiver, processed afterwards, and a quiet barometer.
 

@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.integrate import solve_ivp
 
 from tests.atmosphere.flights import geopotential
 from tests.atmosphere.values import HYDROSTATIC_K_PER_M
@@ -24,7 +23,6 @@ from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.refractive_index import IndexModel
 from unbend.errors import ConfigError, PhysicsError
 from unbend.geodesy import lambert_gravity, normal_gravity
-from unbend.simulate.true_air import normal_gravity as gravity_of_wgs84
 
 
 @pytest.mark.parametrize("degrees", [0.0, 20.0, 45.0, 60.0, 75.0, 90.0])
@@ -35,34 +33,6 @@ def test_lambert_geopotential_against_integrated_normal_gravity(degrees):
     misses = lambert_gravity(latitude).geopotential_height(h) - geopotential(latitude, h)
     at_10_km = 0.10 if degrees <= 75.0 else 0.11
     assert np.all(np.abs(misses) < at_10_km * h / 10_000.0 + 1e-3)
-
-
-@pytest.mark.parametrize("degrees", [0, 45, 75])
-def test_layers_obey_the_hydrostatic_equation_under_wgs84_gravity(degrees):
-    """dp/dh = -rho g through the temperatures of US 1976, up to 25 km."""
-    latitude = math.radians(degrees)
-
-    def slope(h, log_p):
-        kelvin = np.interp(
-            geopotential(latitude, h),
-            [0.0, 11e3, 20e3, 32e3],
-            [288.15, 216.65, 216.65, 228.65],
-        )
-        return [-gravity_of_wgs84(latitude, h) * 28.9644 / (8314.32 * kelvin)]
-
-    profile = standard_atmosphere("us1976", latitude=latitude)
-    solved = solve_ivp(
-        slope,
-        (0.0, 25_000.0),
-        [math.log(101_325.0)],
-        "DOP853",
-        t_eval=[10_000.0, 25_000.0],
-        rtol=1e-11,
-        atol=1e-13,
-        max_step=500,
-    )
-    log_p = np.log(profile.pressure(solved.t))
-    assert log_p == pytest.approx(solved.y[0], abs=1e-6)
 
 
 @pytest.mark.parametrize("rise", [-400.0, 37.0, 1000.0, 9000.0])

@@ -10,13 +10,7 @@ from numpy.testing import assert_allclose
 from tests.atmosphere.flights import DATA
 from tests.helpers import refused
 from unbend.atmosphere import standard_atmosphere
-from unbend.atmosphere.climatology import climatology
-from unbend.atmosphere.layers import stack_layers
-from unbend.atmosphere.profile import Profile
-from unbend.atmosphere.standard import ATMOSPHERES, AtmosphereModel, known_names
-from unbend.config.atmosphere import AtmosphereSection
 from unbend.errors import PhysicsError
-from unbend.geodesy import normal_gravity
 
 
 def test_us1976_against_an_independent_implementation():
@@ -101,38 +95,3 @@ def test_values_have_the_shape_of_heights_and_are_nan_outside(quantity):
 def test_unknown_name_and_degrees_for_radians_are_refused(options, code):
     with refused(code, PhysicsError):
         standard_atmosphere(**options)
-
-
-def isothermal(place, index):
-    layers = stack_layers(
-        np.array([-5000.0, 30_000.0]),
-        np.full(2, 260.0),
-        np.zeros(2),
-        ("standard",),
-        anchor=(0.0, 1e5),
-    )
-    gravity = place.gravity or normal_gravity(0.0)
-    return Profile(layers, gravity, index, "isothermal260")
-
-
-def test_an_atmosphere_costs_one_function_and_a_line(monkeypatch, unbend):
-    """A new entry of the registry is a name for standards, climatologies, missions and commands."""
-    model = AtmosphereModel(isothermal, "a test", has_humidity=False)
-    monkeypatch.setitem(ATMOSPHERES, "isothermal260", model)
-    assert "isothermal260" in known_names()
-    assert standard_atmosphere("isothermal260").temperature(7000.0) == 260.0
-    air = climatology("isothermal260", latitude_rad=0.8, month=7.0)
-    assert air.origin == "a test"
-    assert not air.has_humidity
-    # Its distance from the Supplements (293.8 K at the sea) is part of its spread.
-    usual = climatology(latitude_rad=0.8, month=7.0)
-    difference_k = usual.profile.temperature(0.0) - 260.0
-    expected_k = np.hypot(usual.spread.sigma_temperature(0.0), difference_k)
-    sigma_k = air.spread.sigma_temperature(0.0)
-    assert sigma_k == pytest.approx(expected_k, abs=0.5)
-    section = AtmosphereSection(standard="isothermal260", climatology="isothermal260")
-    assert section.standard == "isothermal260"
-    shown = unbend("profile", "--atmosphere", "isothermal260", "--step", "10000")
-    assert shown.code == 0
-    refusal = unbend("profile", "--atmosphere", "isothermal", "--step", "10000")
-    assert "isothermal260" in "".join(refusal.text.split())

@@ -29,12 +29,6 @@ def test_folders_that_links_make_one_are_one(mission_factory, tmp_path):
         assert str(first.file) in str(error)
 
 
-def test_a_broken_mission_file_shares_nothing(mission_factory, tmp_path):
-    files = [mission_factory(tmp_path / name).save() for name in "ab"]
-    files[0].write_text("mission: [")
-    assert select_missions(files).refused == {}
-
-
 def missions_named(*names) -> list[MissionRef]:
     return [MissionRef(Path(f"{name}.yaml")) for name in names]
 
@@ -122,14 +116,6 @@ def test_a_scheduler_that_is_not_there_is_said_once(unbend, mission_factory, tmp
     assert ended.code == 2
     assert ended.err.count("SCHEDULER-FILE") == 1
     assert not (tmp_path / "a" / "results").exists()
-
-
-def test_interrupts_of_the_user_pass_through():
-    def run_mission(mission: MissionRef, /, *, progress=None) -> Outcome:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        list(run_many(run_mission, missions_named("a"), Inline(contextlib.nullcontext)))
 
 
 @pytest.mark.parametrize(

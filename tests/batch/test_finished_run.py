@@ -11,7 +11,6 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from scipy.interpolate import RegularGridInterpolator
 
 from tests.helpers import one_line
 from unbend.atmosphere import standard_atmosphere
@@ -71,14 +70,6 @@ def copied(baseline, tmp_path):
     return run
 
 
-def bilinear(grid, points):
-    """Interpolation as another program would do it: (n, 2) shifts at these points."""
-    xs = np.unique(grid["x_px"])
-    ys = np.unique(grid["y_px"])
-    shifts = grid[["dx_px", "dy_px"]].to_numpy().reshape(ys.size, xs.size, 2)
-    return RegularGridInterpolator((ys, xs), shifts)(points[["y_px", "x_px"]])
-
-
 # -- the lattice --------------------------------------------------------------------------------
 
 
@@ -110,32 +101,6 @@ def test_at_its_nodes_the_lattice_is_what_a_run_makes_of_them(mission, lattice):
     for axis in "xy":
         shift = run[f"{axis}_corrected_px"] - run[f"{axis}_px"]
         assert np.abs(run[f"d{axis}_px"] - shift).max() < 1e-9
-
-
-def test_between_its_nodes_the_lattice_is_nearly_what_the_run_did(mission, lattice):
-    """Over level ground, with the distortion, attitude, window and air of the sample mission."""
-    mission.config["ground"]["height"] = 300.0
-    ended = mission.run()  # tie points contradict one height for a hilly ground
-    assert ended.code == 3
-    assert "TIES-HEIGHT" in ended.out
-    run = mission.result_rows()
-    run = run[run["status"] == "ok"]
-    run["dx_px"] = run["x_corrected_px"] - run["x_px"]
-    run["dy_px"] = run["y_corrected_px"] - run["y_px"]
-    assert np.hypot(run["dx_px"], run["dy_px"]).max() > 1.0
-    # 0.0026 px of 1.23 px with 21 x 15 nodes
-    for columns, rows, limit_px in ((21, 15, 0.003), (11, 8, 0.010)):
-        nodes, _ = lattice(
-            mission.output,
-            "--columns",
-            columns,
-            "--rows",
-            rows,
-        )
-        for image, grid in nodes.groupby("image"):
-            points = run[run["image"] == image]
-            missing = bilinear(grid, points) - points[["dx_px", "dy_px"]]
-            assert np.linalg.norm(missing, axis=1).max() < limit_px
 
 
 def test_the_ground_is_the_median_of_each_image(baseline, lattice):

@@ -252,36 +252,26 @@ def test_exposures_at_other_times_are_found_by_how_much(offset_s, direction):
     assert ("GPS time" in finding.what) == (offset_s == 18.0)
 
 
-def test_heights_from_another_zero_are_found_and_named():
+@pytest.mark.parametrize(
+    ("low_m", "words", "is_beyond"),
+    [
+        (47.0, r"4[67]\..* too low .*as if this", False),
+        (400.0, "too low .*by more than a datum explains$", True),
+    ],
+)
+def test_heights_from_another_zero_are_found_and_named_or_beyond_a_datum(low_m, words, is_beyond):
     mission = make(24)
     right = mission.orientations
     up = right.enu_from_ecef[:, 2]
     wrong = replace(
         mission,
-        orientations=replace(right, centre_m=right.centre_m - 47.0 * up),
+        orientations=replace(right, centre_m=right.centre_m - low_m * up),
         shifted=None,
         other_heights_m={"this": 46.8, "that": 120.0},
     )
     finding = first_finding(wrong, "TIES-HEIGHT", "ground")
-    assert re.search(r"4[67]\.", finding.what)
-    assert "too low" in finding.what
-    assert "as if this" in finding.what
-    assert not finding.beyond_datums
-
-
-def test_heights_beyond_what_a_datum_explains_are_said_to_be_so():
-    mission = make(24)
-    right = mission.orientations
-    up = right.enu_from_ecef[:, 2]
-    wrong = replace(
-        mission,
-        orientations=replace(right, centre_m=right.centre_m - 400.0 * up),
-        shifted=None,
-        other_heights_m={"this": 46.8},
-    )
-    finding = first_finding(wrong, "TIES-HEIGHT", "ground")
-    assert finding.what.endswith("by more than a datum explains")
-    assert finding.beyond_datums
+    assert re.search(words, finding.what)
+    assert finding.beyond_datums is is_beyond
 
 
 @pytest.mark.parametrize("axes", drawn("exchanged", "upward"))

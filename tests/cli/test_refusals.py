@@ -95,12 +95,6 @@ def test_truncated_log_runs_and_says_so(mission_factory, tmp_path, kind):
 # ---- channels
 
 
-def test_a_channel_without_the_column_of_its_role(mission):
-    mission.config["log"]["channels"]["temperature"] = "ATT"
-    text = accepted(mission.run(), 3)
-    assert "temperature_k" in text
-
-
 def test_exposures_of_a_camera_that_is_not_there(mission):
     (mission.folder / "e.csv").write_text(
         "image,time_utc,camera\na,2025-06-12T09:40:00Z,thermal\nb,2025-06-12T09:40:01Z\n"

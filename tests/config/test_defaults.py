@@ -110,12 +110,6 @@ def test_what_is_not_stated(section):
         assert type(default) is type(value), key
 
 
-def test_pixels_of_a_camera_are_colmaps_and_its_lens_has_no_distortion():
-    camera = SECTIONS["camera"].interior_orientation
-    assert set(camera.distortion) == {0.0}
-    assert (camera.cx_px, camera.cy_px) == (500.0, 400.0)
-
-
 def test_the_ground_has_no_default_and_two_limits():
     for name in ("height", "reference"):
         assert GroundSection.model_fields[name].is_required()

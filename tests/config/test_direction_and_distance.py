@@ -63,11 +63,6 @@ def test_a_mission_is_understood_again_from_the_manifest_of_its_run(load, change
     assert again.model_dump() == mission.model_dump()
 
 
-def test_heights_from_distances_need_the_column(invalid):
-    words = invalid(changed(observations={"path": "o.parquet"}))
-    assert "observations.columns.distance_m" in words
-
-
 @pytest.mark.parametrize("height", [450.0, 450, {"column": "h"}])
 def test_other_heights_keep_their_reference(load, invalid, height):
     words = invalid(changed(ground={"height": height}))
@@ -77,15 +72,3 @@ def test_other_heights_keep_their_reference(load, invalid, height):
     assert (ground.column, ground.constant_m) == (
         ("h", None) if isinstance(height, dict) else (None, 450.0)
     )
-
-
-@pytest.mark.parametrize("height", ["from_distances", "range", {"distance": True}, [450.0], True])
-def test_another_word_for_it_is_refused(refusal, height):
-    ground = {"height": height, "reference": "msl"}
-    assert "ground.height" in refusal(changed(ground=ground)).what
-
-
-def test_the_direction(load, invalid):
-    assert load(changed()).refraction.direction == "remove"
-    assert load(changed(refraction={"direction": "apply"})).refraction.direction == "apply"
-    assert "refraction.direction" in invalid(changed(refraction={"direction": "add"}))

@@ -584,11 +584,12 @@ events.log.nadir.image:
   - "{index"
 events.images.time_zone: [CEST, "+25:00"]
 events.first_image.window.event: [0]
-ground.height: [40000.0]
+ground.height: [40000.0, from_distances, range, {distance: true}, [450.0], true]
 ground.reference: [wgs84]
 atmosphere.standard: [us1967]
 atmosphere.index: [edlen]
 refraction.method: [magic]
+refraction.direction: [add]
 refraction.radius_m: [6371.0]
 mount.nadir.roll_deg: [1.0e+9]
 mount.nadir.sigma_tilt_deg: [-0.1]

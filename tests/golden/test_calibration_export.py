@@ -28,7 +28,7 @@ from tests.golden.held_block import (
     write_mission,
 )
 from tests.helpers import refused
-from tests.lens import brown
+from tests.lens import brown, metashape_pixels
 from unbend.batch.finished_run.export import export_run
 
 from .conftest import run_mission
@@ -258,27 +258,15 @@ def test_straight_down_the_change_is_k(above, ppm, tmp_path):
     assert table["radius_mm"].isna().all()
 
 
-def metashape_pixels(
+def pixels_of_metashape(
     folder,
     name,
     u,
     v,
 ):
-    """(2, n) of the tangents u right and v down; Metashape's p1 and p2 are OpenCV's p2 and p1."""
     xml = ElementTree.parse(folder / f"{name}.xml").getroot()
-    m = {tag.tag: float(tag.text) for tag in xml if tag.tag != "projection"}
-    x, y = brown(
-        u,
-        v,
-        m["k1"],
-        m["k2"],
-        m["p2"],
-        m["p1"],
-        m["k3"],
-    )
-    x_px = m["width"] * 0.5 + m["cx"] + x * m["f"] + x * m["b1"]
-    y_px = m["height"] * 0.5 + m["cy"] + y * m["f"]
-    return np.array([x_px, y_px])
+    numbers = {tag.tag: float(tag.text) for tag in xml if tag.tag != "projection"}
+    return metashape_pixels(numbers, "frame", u, v)
 
 
 def opensfm_pixels(
@@ -335,7 +323,7 @@ def test_every_file_is_the_same_camera(five, tmp_path):
         assert (camera.width, camera.height) == (WIDTH, HEIGHT)
         rays = np.column_stack([u, v, np.ones(u.size)])
         expected = camera.img_from_cam(rays).T
-        for pixels_of in (metashape_pixels, opensfm_pixels, opencv_pixels):
+        for pixels_of in (pixels_of_metashape, opensfm_pixels, opencv_pixels):
             pixels = pixels_of(five.folder, name, u, v)
             np.testing.assert_allclose(pixels, expected, atol=1e-7)
 

@@ -100,33 +100,6 @@ def test_what_windows_lacks_is_missing(like_windows, code):
         like_windows("-c", code)
 
 
-LIBRARY = """
-import os
-def marked(folder):
-    path = os.path.join(folder, ".mark-of-a-library")
-    file = open(path, "wb")
-    os.replace(path, path + "-renamed")
-    os.unlink(path + "-renamed")
-    os.close(os.open(folder, os.O_RDONLY))
-    os.symlink("anywhere", path)
-    os.unlink(path)
-    return file
-"""
-KEPT = """
-import os, library
-for folder in (".", "gone"):
-    os.makedirs(folder, exist_ok=True)
-    file = library.marked(folder)
-os.rmdir("gone")
-"""
-
-
-def test_a_library_keeps_what_it_has_on_linux(like_windows):
-    """It opens, renames and removes files of its own; the folder they were in is free then."""
-    (like_windows.folder / "library.py").write_text(LIBRARY, "utf-8")
-    like_windows("-c", KEPT)
-
-
 def test_what_a_library_holds_open_is_held(like_windows):
     library = "import os\ndef held(path):\n    return open(path, 'rb')\n"
     (like_windows.folder / "holder.py").write_text(library, "utf-8")

@@ -44,19 +44,6 @@ def test_euler_radius_is_the_curvature_of_the_normal_section(latitude, azimuth):
     assert_close(by_euler, radius, rtol=3e-7)
 
 
-@pytest.mark.parametrize(
-    ("latitude", "azimuth", "radius"),
-    [
-        (0.0, 0.0, AT_EQUATOR),
-        (0.0, pi / 2.0, A),
-        (0.0, pi / 4.0, 2.0 * A / (1.0 / (1.0 - E2) + 1.0)),
-        (pi / 2.0, [0.0, 1.0, 3.0], POLAR),
-    ],
-)
-def test_euler_radius_by_hand(latitude, azimuth, radius):
-    assert_close(euler_radius(latitude, azimuth), radius, rtol=1e-14)
-
-
 def test_latitudes_and_azimuths_broadcast():
     radii = euler_radius(np.zeros((2, 1)), np.zeros(3))
     assert radii.shape == (2, 3)

@@ -392,17 +392,3 @@ def test_bertram_reads_low_and_by_how_much():
     ratio = table["printed"] / table["exact"] - 1.0
     assert ratio.max() < 0.0
     assert ratio.min() > -0.016
-
-
-@pytest.mark.parametrize(
-    ("metres", "degrees", "arcsec"),
-    [
-        (120, 45, 0.33),
-        (10_000, 45, 16.4),
-        (10_000, 85, 212.0),
-    ],
-)
-def test_the_sizes_the_manual_states(metres, degrees, arcsec):
-    """PHYSICS.md, "How big it is"."""
-    angle = refraction_angle(standard_atmosphere(), metres, 0.0, math.radians(degrees))
-    assert_close(angle / ARCSEC, arcsec, rtol=0.01)

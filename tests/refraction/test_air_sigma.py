@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from tests.refraction import uncertain_air
-from tests.refraction.comparing import assert_close, assert_near
+from tests.refraction.comparing import assert_close
 from tests.refraction.images import (
     NARROW,
     RADIUS,
@@ -18,9 +17,8 @@ from tests.refraction.images import (
     together,
     uncertainties,
 )
-from tests.refraction.rays import bent
 from tests.refraction.uncertain_air import AIR, COVARIANCE, TABLE
-from unbend.refraction import WindowRays, leading_mode, ray_table, sensitivity
+from unbend.refraction import WindowRays, leading_mode, sensitivity
 from unbend.refraction.uncertainty.sigmas import OPEN
 
 CAMERA = replace(NARROW, fx_px=50_000.0, fy_px=50_000.0)
@@ -114,34 +112,6 @@ def mode_of(h_c, zeta, h_g, covariance=COVARIANCE, **options):
     kind = np.full(zeta.size, OPEN)
     rays = WindowRays(h_c, zeta, kind, no_turn, no_turn)
     return leading_mode(AIR, covariance, rays, h_g, **options)
-
-
-def test_sigma_is_the_spread_of_drawn_airs():
-    """600 airs drawn from the covariance, each with its own hydrostatics and rays."""
-    h_c = np.array([2700.0, 2700.0, 2650.0, 2700.0])
-    h_g = np.array([200.0, 1500.0, 200.0, 200.0])
-    zeta = np.radians([45.0, 60.0, 80.0, 5.0])
-    sigma, _, _ = tabulated(
-        COVARIANCE,
-        h_c,
-        h_g,
-        zeta,
-    )
-    rng = np.random.default_rng(11)
-    angles = []
-    for _ in range(600):
-        table = ray_table(uncertain_air.drawn(rng))
-        r_c, _ = bent(table, h_c, h_g, zeta)
-        angles.append(r_c)
-    # A standard deviation of 600 draws is good to 2.9 %.
-    assert_close(np.std(angles, axis=0), sigma, rtol=0.09)
-    mode = mode_of(h_c, zeta, h_g, radius=RADIUS)
-    mean = np.mean(angles, axis=0)
-    size = np.linalg.svd(angles - mean, compute_uv=False)
-    relative = size[0] / np.sqrt(600.0) / np.linalg.norm(mean)
-    assert_close(mode.sigma, relative, rtol=0.09)
-    share = size[0] ** 2 / (size @ size)
-    assert_near(mode.variance_share, share, 0.02)
 
 
 def test_errors_of_one_flight_are_one_scale_factor():

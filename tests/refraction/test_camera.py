@@ -96,23 +96,6 @@ def with_unit_focal(*coefficients, **named):
     return Camera(10, 10, 1.0, 1.0, 5.0, 5.0, lens)
 
 
-def test_the_distortion_is_opencvs():
-    # Worked by hand: u = 0.5, v = -0.25, r^2 = 0.3125.
-    camera = with_unit_focal(
-        k1=0.1,
-        k2=0.2,
-        k3=0.3,
-        p1=0.01,
-        p2=0.02,
-    )
-    radial = 1.0 + 0.1 * 0.3125 + 0.2 * 0.3125**2 + 0.3 * 0.3125**3
-    u, v = camera.distort(np.array([0.5]), np.array([-0.25]))
-    tangential_u = 2 * 0.01 * -0.125 + 0.02 * (0.3125 + 0.5)
-    tangential_v = 0.01 * (0.3125 + 0.125) + 2 * 0.02 * -0.125
-    assert_close(u, [0.5 * radial + tangential_u], rtol=1e-14)
-    assert_close(v, [-0.25 * radial + tangential_v], rtol=1e-14)
-
-
 TURNS_AT_0_8 = Camera(
     4000,
     4000,

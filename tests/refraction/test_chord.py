@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 from tests.refraction.comparing import assert_near
 from tests.refraction.exact_rays import ExactRays
 from tests.refraction.images import DISTORTED, DOWN, RADIUS, TILTED, corrected, exposure, looking
-from tests.refraction.rays import AIR, TABLE, bent
+from tests.refraction.rays import AIR, TABLE
 from unbend.refraction import height_at_distance
 from unbend.refraction.ray import rays_by
 from unbend.refraction.status_codes import (
@@ -65,25 +65,6 @@ def test_through_the_lowest_point(above, beyond):
 @pytest.mark.parametrize("h", [5000.0, 9000.0])
 def test_far_beyond_it_the_ray_rises_over_the_camera(h):
     assert_end_of_chord(5000.0, h, 88.2, beyond=True)
-
-
-def test_the_angle_at_that_height_gives_the_distance_back():
-    rng = np.random.default_rng(3)
-    h_c = rng.uniform(100.0, 12_000.0, 300)
-    zeta = np.radians(rng.uniform(0.0, 85.0, 300))
-    distance = rng.uniform(0.1, 1.0, 300) * h_c / np.cos(zeta)
-
-    h_g, status = heights(h_c, np.degrees(zeta), distance)
-    assert (status == OK).all()
-    r_c, _ = bent(TABLE, h_c, h_g, zeta)
-    # Law of sines in the triangle camera, target, centre of the earth.
-    straight = zeta - r_c
-    to_camera = RADIUS + h_c
-    to_target = RADIUS + h_g
-    central = np.arcsin(to_camera / to_target * np.sin(straight)) - straight
-    across = 4.0 * to_camera * to_target * np.sin(0.5 * central) ** 2
-    back = np.sqrt((h_c - h_g) ** 2 + across)
-    assert_near(back, distance, 1e-5)
 
 
 @pytest.mark.parametrize(

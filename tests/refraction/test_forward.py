@@ -6,8 +6,6 @@ from math import nan
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from tests.refraction.comparing import assert_near
@@ -33,7 +31,6 @@ from unbend.refraction.status_codes import (
     OK,
     OUTSIDE_CAMERA,
 )
-from unbend.simulate.optics import SimulatedCamera, enu_axes, height_and_up, shoot, to_ecef
 
 LATITUDE = 0.8
 
@@ -127,83 +124,6 @@ def test_there_and_back(scene):
     for name in ("zeta_c_rad", "r_c_rad", "r_cc_rad", "shift_ground_m"):
         again = getattr(seen, name)
         assert_near(again, getattr(ideal, name), 2e-7, equal_nan=True)
-
-
-class FlightAir:
-    """US 1976 below 11 km with Gyer's index (Eq. 13), and its slope, from their constants."""
-
-    exponent = 9.80665 * 28.9644 / 8314.32 / 6.5e-3 - 1.0
-    n_of_ground = 78.831e-6 * 1013.25 / 288.15
-    cooling_per_m = 6.5e-3 / 288.15
-    r_0 = 6_356_766.0
-
-    def temperature_ratio(self, h_m):
-        return 1.0 - self.cooling_per_m * self.r_0 * h_m / (self.r_0 + h_m)
-
-    def n(self, h_m):
-        return 1.0 + self.n_of_ground * self.temperature_ratio(h_m) ** self.exponent
-
-    def dn_dh(self, h_m):
-        slope = -self.cooling_per_m * (self.r_0 / (self.r_0 + h_m)) ** 2
-        by_ratio = self.exponent * self.temperature_ratio(h_m) ** (self.exponent - 1.0)
-        return self.n_of_ground * by_ratio * slope
-
-
-PLANNED = SimulatedCamera(
-    "planned",
-    0,
-    DISTORTED.fx_px,
-    DISTORTED.cx_px,
-    DISTORTED.cy_px,
-    (-0.018, 0.009, 1.5e-4, -1e-4, -0.002),
-    0.0,
-    (0.0, 0.0, 0.0),
-)
-
-
-@pytest.mark.parametrize("tilt", [0.0, 45.0, 70.0])
-def test_what_the_simulator_sees(tilt):
-    """An image planned in ideal pixels against rays shot through the same air by an ODE."""
-    lat = np.array(LATITUDE)
-    lon = np.array(0.2)
-    h_c = 6000.0
-    rotation = looking(tilt, 160.0, 10.0)
-    axes = enu_axes(lat, lon)
-    rng = np.random.default_rng(4)
-    u = rng.uniform(-0.6, 0.6, 40)
-    v = rng.uniform(-0.2, 0.4, 40)
-    local = np.stack([u, v, np.ones(40)], axis=1) @ rotation
-    is_below = local[:, 2] < -0.05 * np.linalg.norm(local, axis=1)
-    local = local[is_below]
-    assert len(local) > 20
-    camera_m = np.tile(to_ecef(lat, lon, np.array(h_c)), (len(local), 1))
-    # Points near the ground, wherever exactly: their height is what their coordinates say.
-    ground_m = camera_m + (local / -local[:, 2:] * (h_c - 700.0)) @ axes
-    h_g, _ = height_and_up(ground_m)
-    assert np.all((h_g > -100.0) & (h_g < 5990.0))
-    rays = shoot(FlightAir(), camera_m, ground_m, 0.0)
-    assert rays.miss_m.max() < 1e-6
-    to_camera = axes.T @ rotation.T
-    ideal = np.stack(PLANNED.project(rays.straight @ to_camera))
-    truth = np.stack(PLANNED.project(rays.apparent @ to_camera))
-    inside = np.all((truth > 0.0) & (truth < FORMAT_PX), axis=0)
-    assert inside.sum() > 15
-    ideal = ideal[:, inside]
-    truth = truth[:, inside]
-
-    setup = seen_from(rotation, h_c)
-    seen = displaced(
-        *ideal,
-        setup,
-        TABLE,
-        camera=DISTORTED,
-        h_g=h_g[inside],
-    )
-
-    shift = np.abs(truth - ideal).max()
-    assert shift > 0.2
-    # The sphere in the azimuth of the ray against the ellipsoid.
-    assert_pixels(seen, *truth, atol=2e-5 * shift + 1e-7)
 
 
 RADIUS_M = float(euler_radius(LATITUDE, 0.0))
@@ -384,20 +304,3 @@ def test_nothing_to_displace():
     assert seen.x_corrected_px.shape == (0,)
     seen = displaced(1.0, 1.0, NO_EXPOSURES, TABLE, row=-1)
     assert seen.status.tolist() == [NO_STATION]
-
-
-@settings(max_examples=30, deadline=None)
-@given(
-    st.floats(500.0, 13_500.0),
-    st.floats(500.0, 10_100.0),
-    st.floats(-1e-4, 1e-4),
-    st.floats(-30.0, 30.0),
-    st.floats(-23.0, 23.0),
-)
-def test_what_is_applied_is_removed_again(x, y, excess, change_px, tilt):
-    setup = seen_from(looking(tilt), cabin_excess=excess, change_px=change_px)
-    seen = displaced(x, y, setup, TABLE, camera=DISTORTED)
-    x_seen = seen.x_corrected_px
-    y_seen = seen.y_corrected_px
-    back = corrected(x_seen, y_seen, setup, TABLE, camera=DISTORTED)
-    assert_pixels(back, x, y)

@@ -9,26 +9,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from scipy.integrate import trapezoid
 
 from tests.refraction import uncertain_air
 from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.images import (
-    CABIN,
     SKEWED,
     Look,
     corrected,
     displaced,
-    exposure,
     looking,
     station_sigmas,
     turned,
     uncertainties,
 )
 from tests.refraction.uncertain_air import AIR, COVARIANCE
-from unbend.atmosphere import standard_atmosphere
-from unbend.atmosphere.layers import stack_layers
-from unbend.refraction import BrownConrady, ray_table
+from unbend.refraction import ray_table
 from unbend.refraction.uncertainty.sigmas import OPEN, SCHEDULED, SEALED
 
 CAMERA = replace(SKEWED, fx_px=20_000.0, fy_px=20_200.0)
@@ -179,96 +174,6 @@ def test_its_part_of_sigma_air(look):
     share = np.sum(part**2) / np.sum(whole**2)
     assert_near(share, made.mode.variance_share, 0.02)
     assert share > 0.9
-
-
-def test_drawn_airs_move_along_it():
-    """200 airs from the covariance: their first principal component is the derivative."""
-    look = LOOKS["nadir, tilted pane"]
-    made = prepared(look)
-    nominal = pixels(look, uncertainty=made)
-    derivative = by_mode(nominal.sigmas).ravel()
-    rng = np.random.default_rng(2)
-    moved = []
-    for _ in range(200):
-        in_drawn_air = pixels(look, air=uncertain_air.drawn(rng))
-        moved.append(difference(in_drawn_air, nominal).ravel())
-    _, sizes, directions = np.linalg.svd(np.array(moved), full_matrices=False)
-    size = np.linalg.norm(derivative)
-    assert abs(directions[0] @ derivative / size) > 0.999
-    # A sigma of 200 draws is good to 5 %.
-    drawn_sigma = sizes[0] / np.sqrt(200.0)
-    assert_close(made.mode.sigma * size, drawn_sigma, rtol=0.15)
-
-
-H_OF_LAYERS = 6000.0
-CABIN_ANGLE = np.radians(10.0)
-
-
-def angles_of_layers(warmer_k):
-    """Whole bend and R_c in the cabin's ray, 10 degrees off the nadir, from 6 km to the ground.
-
-    Level layers of 1 m of the standard troposphere, n sin(zeta) the same in all and in the cabin;
-    the pressure is held at the camera; n by Gladstone and Dale from 2.779e-4 (15 deg C, 550 nm).
-    """
-    h = np.arange(0.0, H_OF_LAYERS + 0.5)
-    kelvin = 288.15 - 0.0065 * h + warmer_k
-    inverse_kelvin = 0.5 * (1.0 / kelvin[1:] + 1.0 / kelvin[:-1])
-    fall = 9.80665 * 0.0289644 / 8.31432 * inverse_kelvin
-    fall_to_camera = np.append(np.cumsum(fall[::-1])[::-1], 0.0)
-    pressure = 47_181.0 * np.exp(fall_to_camera)
-    n = 1.0 + 2.779e-4 * (pressure / 101_325.0) * 288.15 / kelvin
-    sine = (1.0 + CABIN) * np.sin(CABIN_ANGLE) / n
-    tangent = sine / np.sqrt(1.0 - sine**2)
-    straight = np.arctan2(trapezoid(tangent, h), h[-1])
-    outside = np.arcsin(sine[-1])
-    return np.array([CABIN_ANGLE - straight, outside - straight])
-
-
-def warmer_standard(kelvin):
-    """US 1976 with so much more everywhere, its pressure held at 6 km."""
-    standard = standard_atmosphere("us1976")
-    layers = standard.layers
-    anchor_m = float(standard.gravity.geopotential_height(H_OF_LAYERS))
-    anchor_pa = float(standard.pressure(H_OF_LAYERS))
-    warmer = stack_layers(
-        layers.edge,
-        layers.edge_temperature + kelvin,
-        np.append(layers.vapour, 0.0),
-        layers.source,
-        anchor=(anchor_m, anchor_pa),
-        constant=standard.constant,
-    )
-    return replace(standard, layers=warmer)
-
-
-def angles_of_a_pixel(air):
-    """The same of a pixel behind a level pane: its corrected angle off the nadir, and R_c."""
-    camera = replace(CAMERA, fy_px=CAMERA.fx_px, distortion=BrownConrady())
-    excess = CABIN - float(air.refractivity(H_OF_LAYERS))
-    setup = exposure(air, h_c=H_OF_LAYERS, cabin_excess=excess)
-    x = camera.cx_px + camera.fx_px * np.tan(CABIN_ANGLE)
-    corrections = corrected(
-        x,
-        camera.cy_px,
-        setup,
-        ray_table(air),
-        camera=camera,
-    )
-    straight = np.arctan((corrections.x_corrected_px[0] - camera.cx_px) / camera.fx_px)
-    return np.array([CABIN_ANGLE - straight, corrections.r_c_rad[0]])
-
-
-def test_one_kelvin_behind_a_level_pane():
-    """Of a uniform kelvin, the pressure held at the camera, R_c has less than half."""
-    per_tangent = 1e6 / np.tan(CABIN_ANGLE)
-    expected = per_tangent * (angles_of_layers(0.5) - angles_of_layers(-0.5))
-    warm = angles_of_a_pixel(warmer_standard(0.5))
-    cold = angles_of_a_pixel(warmer_standard(-0.5))
-    changed = per_tangent * (warm - cold)
-    of_net, of_r = np.abs(expected)
-    assert_near(of_net, 1.10, 0.02)
-    assert_near(of_r, 0.51, 0.005)
-    assert_close(changed, expected, rtol=0.01)
 
 
 @pytest.mark.parametrize("name", BEHIND_A_PANE)

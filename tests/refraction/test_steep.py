@@ -8,7 +8,7 @@ import pytest
 from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.exact_rays import ExactRays
 from tests.refraction.images import RADIUS
-from tests.refraction.rays import TABLE, arcsec, bent, integrated_arcsec
+from tests.refraction.rays import TABLE, bent
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import profile_from_table
 from unbend.geodesy import lambert_gravity
@@ -142,22 +142,6 @@ def test_the_series_is_what_is_used(table):
         status,
     )
     assert (status == OK).all()
-
-
-@pytest.mark.parametrize(
-    ("h_c", "h_g", "degrees"),
-    [
-        (60.0, -400.0, 82.0),
-        (840.0, 790.0, 60.0),
-        (1000.0, 0.0, 75.0),
-        (6000.0, 3000.0, 80.0),
-        (17_000.0, 100.0, 40.0),
-    ],
-)
-def test_inversions_against_an_independent_ode(h_c, h_g, degrees):
-    ray = (inversions(), h_c, h_g, degrees * DEGREE)
-    # The rounding of n in the ODE is larger than the kernel's error.
-    assert_near(arcsec(*ray), integrated_arcsec(*ray), 2e-9)
 
 
 @pytest.mark.parametrize("degrees", [30.0, 80.0])

@@ -277,33 +277,6 @@ def test_rays_land_where_an_integrated_ray_does(lat, lon, grid):
     assert np.nanmax(np.abs(straight.h_m - h_landed)) > 0.5
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["away from the camera", "towards it"])
-def test_the_error_of_a_landing_on_a_slope(sign):
-    """On a plane that falls to the east it is that of the terrain over 1 - tan slope tan zeta."""
-    fall = 0.15
-    cell_m = np.radians(STEP) * 6_378_137.0 * np.cos(np.radians(1e-3))  # at the equator
-    column = np.tile(np.arange(400), (400, 1))
-    heights = (2_000.0 - fall * cell_m * (column - 192)).astype(np.float32)
-    plane = ArrayTerrain(
-        heights,
-        north=0.16,
-        west=-0.16,
-        step_lat=STEP,
-        step_lon=STEP,
-    )
-    zeta = np.radians(np.linspace(1.0, 70.0, 60))
-    direction = direction_of(zeta, np.full(60, sign * EAST))
-    lat = np.zeros(60)
-    lon = np.zeros(60)
-    height = np.full(60, 3_500.0)
-
-    landings, _ = landing(plane, lat, lon, height, direction)
-
-    assert (landings.status == OK).all()
-    expected = 1.0 / (1.0 - sign * fall * np.tan(zeta))
-    assert_close(landings.factor, expected, rtol=0.01)
-
-
 def test_the_error_of_a_landing_is_what_raising_the_terrain_does():
     rays = rays_from(
         300,

@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from tests.refraction import uncertain_air
 from tests.refraction.comparing import assert_close, assert_near
 from tests.refraction.images import (
     DOWN,
@@ -114,12 +113,6 @@ def test_the_station_against_a_turned_and_lifted_camera():
     assert_sigmas(sigmas, "station", np.sqrt(variance), atol=0.003)
 
 
-def test_the_height_of_the_station_alone():
-    seen = points()
-    sigmas = with_sigmas(exposed(), known_to(tilt=0.0, yaw=0.0), seen).sigmas
-    assert_sigmas(sigmas, "station", np.abs(effect_of_height(seen)), atol=0.002)
-
-
 def test_a_turn_about_the_vertical_changes_nothing():
     """Level aircraft, any camera: no yaw. The camera is the same seen from its own frame."""
     setup = exposed()
@@ -138,20 +131,6 @@ def test_the_ground_against_a_raised_point():
     sigmas = with_sigmas(setup, known_to(), seen).sigmas
     expected = np.abs(halves(raised, lowered))
     assert_sigmas(sigmas, "ground", expected, atol=0.002)
-
-
-def test_the_air_against_drawn_air():
-    """300 airs from the covariance, each corrected with: a sigma of 300 is good to 4 %."""
-    setup = exposed()
-    seen = points(40)
-    sigmas = with_sigmas(setup, known_to(), seen, COVARIANCE).sigmas
-    rng = np.random.default_rng(8)
-    drawn = [shifts(setup, seen, uncertain_air.drawn(rng)) for _ in range(300)]
-    names = {"dx_px": "air_dx_px", "dy_px": "air_dy_px", "r_c_rad": "r_c_rad"}
-    for name, name_of_sigma in names.items():
-        values = [getattr(corrections, name) for corrections in drawn]
-        spread = np.std(values, axis=0)
-        assert_close(getattr(sigmas, name_of_sigma), spread, rtol=0.12)
 
 
 def at_centre(setup, stations, ground_heights_m=(0.0, 6000.0), **options):

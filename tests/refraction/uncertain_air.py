@@ -76,8 +76,3 @@ def root():
     correlation = matrix / np.outer(scale, scale)
     factor = np.linalg.cholesky(correlation + 1e-10 * np.eye(STATES))
     return scale[:, None] * factor
-
-
-def drawn(rng):
-    """The same air as it might be too."""
-    return changed(root() @ rng.normal(size=STATES))

@@ -250,31 +250,3 @@ def test_heads_and_page_numbers_on_paper(browser, mission_factory, unbend, tmp_p
     assert ended.code == 0, ended.text
     content = (tmp_path / "r.pdf").read_bytes()
     assert 3 <= len(re.findall(rb"/Type\s*/Page\b", content)) <= 20
-
-
-@pytest.mark.parametrize("name", ["sample", "small", "model", "no log"])
-def test_the_page_says_what_the_manifest_says(runs, browser, name):
-    """As a reader sees it; `test_page` has each cell of a page."""
-    manifest = json.loads((runs[name] / "manifest.json").read_text("utf-8"))
-    page = opened(browser, runs[name], viewport={"width": 1280, "height": 900})
-
-    def rows(section):
-        return page.locator(f"#{section} > table tbody tr").evaluate_all(
-            "all => all.map(row => [...row.cells].map(cell => cell.innerText.trim()))"
-        )
-
-    assert page.title().startswith(manifest["mission"])
-    statuses = manifest["observations"]["status"]
-    expected = [(k, f"{n:,}") for k, n in [*statuses.items(), *manifest["stations"].items()] if n]
-    shown = rows("rows")
-    assert sorted((row[0].split()[0], row[1]) for row in shown) == sorted(expected)
-    for row in shown:
-        if cause := manifest["observations"]["causes"].get(row[0].split()[0]):
-            assert f"Cause: {cause}" in row[0]
-    assert ("Cause: " in " ".join(row[0] for row in shown)) == bool(
-        manifest["observations"]["causes"]
-    )
-    codes = page.locator("#ledger code").all_inner_texts()
-    assert sorted(codes) == sorted(entry["code"] for entry in manifest["ledger"])
-    assert (page.locator("image#relief").count() == 1) == (name == "model")
-    page.close()

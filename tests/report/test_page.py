@@ -637,7 +637,9 @@ def test_a_relief_that_is_not_drawn_is_not_left_unsaid(flown, height, is_drawn, 
     manifest = whole_manifest()
     manifest["config"]["ground"]["height"] = height
     relief = (flown.limits_deg, np.zeros((2, 2))) if is_drawn else None
-    caption = page_of(manifest, replace(flown, relief=relief)).caption("Map of")
+    page = page_of(manifest, replace(flown, relief=relief))
+    caption = page.caption("Map of")
+    assert ('<image id="relief"' in page.text) == is_drawn
     assert ("relief" in caption) == bool(sentence)
     assert sentence in caption
 

@@ -2,7 +2,6 @@
 
 import math
 
-import mpmath as mp
 import numpy as np
 import pyproj
 import pytest
@@ -14,65 +13,6 @@ from unbend.simulate.true_air import true_air
 
 ARCSEC = math.pi / 648_000.0
 RADIUS = 6_371_000.0
-
-
-def quadrature(refractivity, h_c, h_g, zeta_c, breaks=()):
-    """R_c [arcsec] from Gyer Eq. 12 and the triangle of Eq. 10, 40 digits."""
-    with mp.workdps(40):
-        r_c = mp.mpf(RADIUS) + h_c
-        r_g = mp.mpf(RADIUS) + h_g
-        zeta = mp.mpf(zeta_c)
-        k = (1 + refractivity(mp.mpf(h_c))) * r_c * mp.sin(zeta)
-
-        def integrand(h):
-            r = RADIUS + h
-            n = 1 + refractivity(h)
-            return k / (r * mp.sqrt((n * r) ** 2 - k**2))
-
-        low, high = sorted((h_c, h_g))
-        theta = mp.quad(integrand, [low, *breaks, high])
-        chord = mp.atan2(
-            r_g * mp.sin(theta),
-            r_c - r_g * mp.cos(theta),
-        )
-        return float((zeta - chord) / (mp.pi / 648_000))
-
-
-def exponential(h):
-    return 2.8e-4 * mp.exp(-h / 8000) if isinstance(h, mp.mpf) else 2.8e-4 * math.exp(-h / 8000.0)
-
-
-def broken(h):
-    """Two straight lines with a kink at 1200 m."""
-    slope = -2.9e-8 if h < 1200 else -2.1e-8
-    return 2.5e-4 + slope * (h - 1200)
-
-
-@pytest.mark.parametrize(
-    ("refractivity", "h_c", "h_g", "degrees", "breaks"),
-    [
-        (exponential, 120.0, 0.0, 85.0, ()),
-        (exponential, 3000.0, 0.0, 45.0, ()),
-        (exponential, 10_000.0, 0.0, 10.0, ()),
-        (exponential, 10_000.0, 0.0, 85.0, ()),
-        (exponential, 1000.0, 3000.0, 95.0, ()),
-        (broken, 3000.0, 0.0, 60.0, (1200.0,)),
-    ],
-)
-def test_the_integrator_of_other_tests_agrees_with_forty_digits(
-    refractivity, h_c, h_g, degrees, breaks
-):
-    zeta = math.radians(degrees)
-    angle = ray_angle_sphere(
-        lambda h: 1.0 + refractivity(h),
-        h_c,
-        h_g,
-        zeta,
-        RADIUS,
-        breaks=breaks,
-    )
-    expected = quadrature(refractivity, h_c, h_g, zeta, breaks)
-    assert angle / ARCSEC == pytest.approx(expected, abs=1e-8 if h_g else 2e-9)
 
 
 def test_ecef_agrees_with_proj_and_bowring_goes_back():

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 
-from unbend.simulate.optics import body_rotation, cameras, quaternion, through_window
+from unbend.simulate.optics import cameras, through_window
 
 NADIR, OBLIQUE = cameras(20_000.0)
 
@@ -17,22 +16,6 @@ def test_mounts_point_where_they_say():
     half = np.sqrt(0.5)
     oblique = [[0.0, half, -half], [-1.0, 0.0, 0.0], [0.0, half, half]]
     assert_allclose(OBLIQUE.from_body(), oblique, atol=1e-15)
-
-
-def test_body_rotation_is_yaw_pitch_roll():
-    expected = Rotation.from_euler("ZYX", [2.1, -0.3, 0.7]).as_matrix()
-    assert_allclose(
-        body_rotation(0.7, -0.3, 2.1),
-        expected,
-        atol=1e-15,
-    )
-
-
-def test_quaternion_agrees_with_scipy():
-    for rotation in Rotation.random(50, rng=np.random.default_rng(3)):
-        q = quaternion(rotation.as_matrix())
-        expected = rotation.as_quat(canonical=True, scalar_first=True)
-        assert_allclose(q, expected, atol=1e-14)
 
 
 @pytest.mark.parametrize(

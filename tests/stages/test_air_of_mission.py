@@ -26,7 +26,6 @@ from unbend.simulate.mission import FIELD_LAT_RAD
 from unbend.simulate.true_air import temperature_k
 from unbend.stages import air_of_mission
 from unbend.stages.air_sources import read_report
-from unbend.units import ARCSEC
 
 METAR = "METAR KXYZ 151055Z 24011KT 9999 SCT040 12/08 Q1013"
 
@@ -403,23 +402,6 @@ def test_the_manifest_tells_the_scale_of_r_and_the_sensors(baseline):
             quantities.add(row["quantity"])
     assert quantities == {"temperature", "pressure", "humidity"}
     assert unused >= {"sounding", "surface report", "us1976"}
-
-
-def test_the_sigma_of_the_factor_covers_its_error(baseline):
-    effect = baseline.manifest()["profile"]["effect"][0]
-    true_arcsec = plane_factor(true_refractivity, effect["h_g_m"], effect["h_c_m"]) / ARCSEC
-    error_arcsec = abs(effect["r_c_arcsec"] - true_arcsec)
-    assert error_arcsec < 3.0 * effect["sigma_arcsec"] + 0.002 * true_arcsec
-
-
-def test_the_profile_has_its_sigmas(baseline):
-    table = profile_of(baseline)
-    flown = table.query("600.0 <= h_m <= 2800.0")
-    above = table.query("6e3 <= h_m <= 2e4")
-    assert table["sigma_temperature_k"].notna().all()
-    assert flown["sigma_temperature_k"].max() < 1.0
-    assert above["sigma_temperature_k"].min() > 1.0
-    assert (table["sigma_refractivity"] > 0.0).all()
 
 
 # ---- several airs in one mission

@@ -183,13 +183,6 @@ def test_a_model_that_nothing_can_verify_is_said_to_be_so(mission, modelled):
     assert "finding" not in kinds.values()
 
 
-def test_a_rehearsal_verifies_a_model_by_tie_points(mission, modelled):
-    modelled(np.flipud)
-    kinds = kinds_of(mission)
-    assert kinds["TIES-HEIGHT"] == "finding"
-    assert "DEM-UNVERIFIED" not in kinds
-
-
 @pytest.mark.parametrize("has_model", [True, False])
 def test_a_model_that_the_take_off_verifies_or_none(mission, modelled, has_model):
     if has_model:

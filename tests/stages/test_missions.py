@@ -17,7 +17,6 @@ from tests.helpers import (
     refused,
     with_code,
 )
-from tests.stages.dataflash_records import without
 from tests.stages.flown_files import gps_time
 from tests.stages.other_logs import (
     channel_of,
@@ -307,20 +306,6 @@ def test_a_column_of_images_that_is_empty(mission):
     assert entry_of(manifest, "OBS-NO-IMAGE")["count"] == len(table)
     flagged = entry_of(manifest, "PLAUSIBLE-FLAGGED")["what"]
     assert flagged.endswith("the name of the image is missing (observations.columns.image)")
-
-
-def test_a_log_without_any_attitude(mission, baseline):
-    content = mission.log.read_bytes()
-    without_attitude = without(content, "ATT", 0.0, np.inf)
-    mission.log.write_bytes(without_attitude)
-
-    manifest = mission.run_to_manifest(3)
-
-    assert entry_of(manifest, "CHANNEL-MISSING")["kind"] == "loss"
-    status = mission.stations()["status"].to_pylist()
-    assert set(status) == {"no_attitude"}
-    x_px = mission.results()["x_corrected_px"]
-    assert x_px.null_count == len(x_px) == baseline.results().num_rows
 
 
 def test_hectopascal_where_pascal_is_due(by_mcap):

@@ -33,7 +33,6 @@ from unbend.stages.plausibility.findings import (
 )
 from unbend.stages.plausibility.messages import many_flagged
 from unbend.stages.plausibility.rules import (
-    RULES,
     air_of_flight,
     are_sides_exchanged,
     distortion,
@@ -414,11 +413,6 @@ def test_what_a_fisheye_sees_follows_its_angles():
         axis_deg=lambda name: 0.0,
     )
     assert camera_text(facts, "nadir").startswith("nadir 181 x 181 deg, 1.1 m a pixel, 22860 x")
-
-
-def test_every_rule_is_a_function_with_one_sentence():
-    assert len(RULES) == len(set(RULES))
-    assert all(rule.__doc__ and rule.__doc__.strip().endswith(".") for rule in RULES)
 
 
 # ---- rows without a correction

@@ -9,7 +9,7 @@ import pytest
 from tests.helpers import codes_of, entry_of, with_code
 from tests.model_files import dataset, netcdf
 from tests.stages.oriented_tables import PINHOLES, columns_of
-from tests.stages.other_logs import read_folder, refusal_to_read
+from tests.stages.other_logs import read_folder
 from tests.stages.plane_rays import TRUE_AIR, plane_factor, true_refractivity
 from unbend import correct
 from unbend.atmosphere.air_samples import AirSamples
@@ -105,13 +105,6 @@ def test_without_sensors_the_air_is_the_models(modelled):
     # An analysis is good to 2 K near the ground: the climatology draws it 1.8 K to its own side.
     estimated = plane_factor(air.profile.refractivity, 450.0, 2950.0)
     assert estimated == pytest.approx(right, rel=relative_sigma)
-
-
-def test_one_of_another_day_is_refused(modelled, fields):
-    later = fields.valid_time + np.timedelta64(1, "D")
-    write_model(modelled, fields.assign_coords(valid_time=later))
-    text = refusal_to_read(modelled, "MODEL-TIME")
-    assert "its times, 2025-06-13T09:00 to 2025-06-13T11:00 UTC" in text
 
 
 def test_a_standard_asked_for_leaves_it_unused(modelled):

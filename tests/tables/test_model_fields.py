@@ -560,15 +560,6 @@ def test_another_place_is_refused_with_the_distance(fields, longitude, latitude,
         refuse_place(fields, latitude, longitude)
 
 
-def test_a_hole_in_the_grid_is_no_place_to_interpolate_over(fields):
-    farther_east = fields.assign_coords(longitude=[11.0, 11.5, 12.0])
-    with_hole = xarray.concat([fields, farther_east], "longitude")
-    place = np.radians([[47.3], [10.0]])
-    field = read(as_netcdf(with_hole), place)
-    with refused_with("MODEL-AREA", "75 km"):
-        field.refuse_outside(*place)
-
-
 def counts_of(notes) -> dict[str, int]:
     return {note.code: note.count for note in notes}
 

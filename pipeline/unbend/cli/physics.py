@@ -119,7 +119,8 @@ def angle(
     One angle: arcsec, microradians, ground metres, with five digits (with --json: all digits).
     A table has K, which is R at 45 degrees, and next to it K of the Manual of Photogrammetry's
     formula. It has no metres on the ground if only the bent ray reaches the ground and the
-    straight one is above the horizon.
+    straight one is above the horizon. With --focal-px it has the correction dr of a camera that
+    looks down: add it to the measured radius.
     """
     if nadir_angle is None:
         refuse_options_of_one_angle(method, index, distance)

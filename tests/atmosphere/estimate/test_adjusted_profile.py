@@ -14,7 +14,6 @@ from tests.atmosphere.adjusting import (
     NO_SENSORS,
     US1976,
     Adjusted,
-    warmer,
     with_readings,
 )
 from unbend.atmosphere import standard_atmosphere
@@ -199,24 +198,6 @@ def test_a_gap_in_the_heights_is_not_called_measured():
     assert inside > 1.7 * beside
     alone = adjust(AirSamples(thermometer(outside_gap)))
     assert source_at(alone, 1900.0) == "relaxed"
-
-
-def test_outliers_do_not_matter():
-    rng = default_rng(12)
-    noise_k = rng.normal(0.0, 0.2, H.size)
-    noisy = warmer(measured(), noise_k)
-    is_bad = rng.random(H.size) < 0.03
-    assert is_bad.sum() > 20
-
-    clean = adjust(noisy).profile
-    dirty = adjust(warmer(noisy, 15.0 * is_bad)).profile
-
-    inside = np.linspace(500.0, 3400.0, 300)
-    t = clean.temperature(inside)
-    assert dirty.temperature(inside) == pytest.approx(t, abs=0.25)
-    ends = [500.0, 3400.0]
-    fall_of_n = np.ptp(clean.refractivity(ends))
-    assert np.ptp(dirty.refractivity(ends)) == pytest.approx(fall_of_n, rel=5e-4)
 
 
 def test_readings_a_gate_took_out_and_gaps_are_not_used():
@@ -496,12 +477,6 @@ def test_a_level_of_pressure_that_is_no_weather_is_told_of(factor, kind):
         )
     )
     adjusted.entry("AIR-ANCHOR", kind)
-
-
-def test_a_thermometer_that_is_too_warm_by_three_kelvin_is_still_in_the_air_outside():
-    adjusted = adjust(warmer(measured(), 3.0))
-    assert adjusted.basis == "thermometer"
-    assert not adjusted.is_told
 
 
 def test_wild_heights_crash_nothing():

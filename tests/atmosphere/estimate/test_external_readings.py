@@ -517,27 +517,6 @@ def test_a_balloon_higher_than_the_climatology(norman):
     assert made.profile.temperature(high) == pytest.approx(expected_k, abs=2.5)
 
 
-def test_a_balloon_higher_than_the_climatology_beside_a_flight(norman):
-    """One of the same air, which is at 220 K from its top to 34 km."""
-    low = balloon_of(norman)
-    top_m = low.h_m[-1]
-    above_m = np.arange(top_m + 500.0, 34_000.0, 500.0)
-    above_pa = low.pressure_pa[-1] * np.exp((top_m - above_m) * 0.0341632 / 220.0)
-    constant = np.ones(above_m.size)
-    balloon = replace(
-        low,
-        h_m=np.append(low.h_m, above_m),
-        pressure_pa=np.append(low.pressure_pa, above_pa),
-        temperature_k=np.append(low.temperature_k, 220.0 * constant),
-        vapour_pressure_pa=np.append(low.vapour_pressure_pa, 0.1 * constant),
-    )
-    made = adjusted(norman, flown(norman, 3000.0, descent=True), soundings=[balloon])
-    assert made.basis == "thermometer"
-    assert made.losses == []
-    assert abs(made.error(3000.0)) < 0.01
-    assert made.sigma(3000.0) < 0.006
-
-
 @pytest.mark.parametrize(
     ("above", "per_km"),
     [

@@ -150,20 +150,3 @@ def test_clearing_away_has_a_limit(use, monkeypatch):
         began_s = time.monotonic()
         remote.clear_away(lambda: place.remove(["b"]))
         assert time.monotonic() - began_s < 30.0
-
-
-@pytest.mark.slow
-def test_a_silent_store_costs_its_missions_alone(
-    use, impatient, mission_factory, tmp_path, unbend, obeyed
-):
-    """One reads from it, one writes to it; the third is done."""
-    missions = {name: mission_factory(tmp_path / name) for name in ("reads", "writes", "sound")}
-    missions["reads"].config["log"]["path"] = "s3://season/flight.bin"
-    missions["writes"].config["output"]["path"] = "s3://season/results"
-    with accepting() as url:
-        use(environment_of("s3", url))
-        ended = unbend("run", *(mission.save() for mission in missions.values()))
-        assert ended.code == 6
-        assert ended.err.count("CLOUD-SILENT") == 2
-        assert (missions["sound"].output / "manifest.json").exists()
-        obeyed("run", missions["reads"].save(), exit_code=5)

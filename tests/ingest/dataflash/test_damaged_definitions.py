@@ -59,25 +59,6 @@ def test_a_flipped_bit_of_an_instance_is_no_sensor(opened):
 
 @pytest.mark.parametrize(
     ("rows", "stays"),
-    [(4, False), (5, True)],
-)
-def test_a_sensor_of_few_rows_stays_one(opened, rows, stays):
-    writer = flight()
-    for k in range(rows):
-        writer.row(
-            "BARO",
-            AFTER_US + k * 100_000,
-            1,
-            95_000.0,
-            20.0,
-        )
-    log = opened(writer.data)
-    assert ("BARO[1]" in names_of(log, "BARO")) == stays
-    assert bool(losses(log)) != stays
-
-
-@pytest.mark.parametrize(
-    ("rows", "stays"),
     [(1, False), (4, False), (5, True)],
 )
 def test_a_slow_second_sensor_is_no_damage(opened, rows, stays):

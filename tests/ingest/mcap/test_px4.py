@@ -103,17 +103,6 @@ def test_topics_of_the_second_boot_alone_belong_to_the_second_boot(opened):
     assert table["boot"][0] == 1
 
 
-def test_a_reboot_whose_clock_is_ahead_of_the_last_is_one(opened):
-    recording = Recording()
-    recording.flight(rows=150, boot_s=10)
-    recording.flight(rows=150, boot_s=60, utc_s=3600)
-    log = opened(recording.data)
-    assert log.boots == 2
-    run_s = np.arange(150) / 5
-    assert_array_equal(seconds(log), [*run_s, *(run_s + 3600)])
-    assert entry_in(log, "TIME-REBOOT").count == 1
-
-
 @pytest.mark.parametrize("row", [0, 1, 3, 199])
 def test_a_stray_stamp_of_the_receiver_moves_nothing_else(opened, row):
     recording = Recording()
@@ -131,21 +120,6 @@ def test_a_stray_stamp_of_the_receiver_moves_nothing_else(opened, row):
     assert log.boots == 1
     assert entry_in(log, "TIME-STRAY").count == 1
     assert loss_codes(log) == {"TIME-STRAY"}
-
-
-def test_utc_without_a_fix_counts_for_nothing(opened):
-    recording = Recording()
-    for k in range(200):
-        boot_ns = 60 * SECOND + k * STEP
-        utc_ns = START + k * STEP
-        if k < 120:
-            recording.fix(boot_ns, utc_ns, stated_utc_ns=utc_ns - 3600 * SECOND, fix_type=0)
-        else:
-            recording.fix(boot_ns, utc_ns)
-        recording.attitude(boot_ns, utc_ns)
-    log = opened(recording.data)
-    assert_array_equal(seconds(log), np.arange(200) / 5)
-    assert not loss_codes(log)
 
 
 def take_shots(recording, utc_ahead_ns):

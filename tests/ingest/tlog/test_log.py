@@ -331,12 +331,6 @@ def test_stamps_of_a_ground_station_are_no_hole(opened, frames_later, later_us):
     assert with_code(opened(writer.data).ledger, "LOG-GAP") == []
 
 
-def test_a_vehicle_that_was_off_is_no_hole(opened):
-    writer = flight(seconds=30)
-    writer.frames += [restamped(frame, DAY_US) for frame in writer.frames]
-    assert with_code(opened(writer.data).ledger, "LOG-GAP") == []
-
-
 @pytest.mark.parametrize("ahead_us", [-DAY_US, DAY_US, 3_500_000])
 def test_stray_stamps_of_a_sender_without_a_clock(opened, ahead_us):
     writer = flight(seconds=2)

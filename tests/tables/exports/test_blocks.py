@@ -421,26 +421,6 @@ def test_a_block_whose_points_are_mostly_of_one_image_is_a_warning(block, name):
     assert "observations.columns.point" in single.what
 
 
-def test_bundler_names_the_principal_distances_that_the_images_have(block):
-    """The air in the lens is removed from the points, and is still in the images."""
-    run = block.run()
-    is_nadir = run.stations.camera == "nadir"
-    change_px = np.where(is_nadir, -2.0, 0.0)
-    exposures = replace(run.exposures, principal_change_px=change_px)
-    run = replace(run, exposures=exposures)
-
-    exported = write_export(run, "bundler")
-
-    calibrations = read_json(exported.path / "calibration.json")
-    taken_with = calibrations["nadir"]["taken_with"]
-    ratio = 1.0 - 2.0 / NADIR.fx_px
-    assert taken_with["fx_px"] == pytest.approx(ratio * NADIR.fx_px)
-    assert taken_with["fy_px"] == pytest.approx(ratio * NADIR.fy_px)
-    assert taken_with["lens_change_ppm"] == pytest.approx(-2e6 / NADIR.fx_px)
-    assert calibrations["nadir"]["written"]["f_px"] == NADIR.fx_px
-    assert calibrations["side"]["taken_with"]["lens_change_ppm"] == 0.0
-
-
 def test_bundler_has_the_calibrations_beside(block, written):
     calibrations = read_json(written("bundler").path / "calibration.json")
 

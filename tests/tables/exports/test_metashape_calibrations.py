@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.lens import metashape_pixels
 from tests.tables.checks import assert_within
 from tests.tables.exports.export_runs import write_export
 from tests.tables.exports.projected_block import NADIR, SIDE
@@ -32,37 +33,6 @@ def calibration_in(path):
         if element.tag != "projection":
             numbers[element.tag] = float(element.text)
     return numbers, root.findtext("projection")
-
-
-def metashape_pixels(numbers, projection, u, v):
-    """(2, n) pixels from the corner, of tangents right and down (appendix on camera models)."""
-    b2 = numbers.get("b2", 0.0)
-    k1 = numbers["k1"]
-    k2 = numbers["k2"]
-    k3 = numbers["k3"]
-    k4 = numbers.get("k4", 0.0)
-    p1 = numbers["p1"]
-    p2 = numbers["p2"]
-    if projection == "fisheye":
-        r0 = np.hypot(u, v)
-        scale = np.arctan(r0) / r0
-        u = u * scale
-        v = v * scale
-    r2 = u * u + v * v
-    radial = 1.0 + k1 * r2 + k2 * r2**2
-    radial += k3 * r2**3 + k4 * r2**4
-    x = u * radial
-    x += p1 * (r2 + 2.0 * u * u)
-    x += 2.0 * p2 * u * v
-    y = v * radial
-    y += p2 * (r2 + 2.0 * v * v)
-    y += 2.0 * p1 * u * v
-    x_px = 0.5 * numbers["width"] + numbers["cx"]
-    x_px += x * (numbers["f"] + numbers["b1"])
-    x_px += y * b2
-    y_px = 0.5 * numbers["height"] + numbers["cy"]
-    y_px += y * numbers["f"]
-    return np.array([x_px, y_px])
 
 
 def exported(block, camera=NADIR, *, name="nadir", change_px=0.0):
@@ -100,25 +70,8 @@ def test_metashape_projects_to_the_measured_points(block):
         pixels = metashape_pixels(numbers, projection, rows.u, rows.v)
         assert projection == "frame"
         assert_within(pixels.T, rows[["x_px", "y_px"]], 1e-8)
-
-
-def test_exchanged_p1_and_p2_move_points_by_pixels(block):
-    """What typing OpenCV's p1 and p2 of calibration.json into Metashape would do."""
-    folder, calibrations = exported(block)
-    numbers, projection = calibration_in(folder / "taken_with_nadir.xml")
-    rows = block.rows[block.rows.image.isin(block.image[0::2])]
-
-    taken_with = calibrations["nadir"]["taken_with"]
-    as_typed = dict(numbers)
-    as_typed["p1"] = taken_with["distortion"]["p1"]
-    as_typed["p2"] = taken_with["distortion"]["p2"]
-    right = metashape_pixels(numbers, projection, rows.u, rows.v)
-    wrong = metashape_pixels(as_typed, projection, rows.u, rows.v)
-
-    moved_px = np.hypot(*(wrong - right))
-    assert moved_px.max() > 1.0
-    assert "Metashape exchanges p1 and p2" in taken_with["coefficients"]
-    assert "coefficients" in calibrations["side"]["taken_with"]
+        # What typing OpenCV's p1 and p2 of the JSON into Metashape would exchange.
+        assert "Metashape exchanges p1 and p2" in calibrations[name]["taken_with"]["coefficients"]
 
 
 def test_the_calibration_contains_the_air_in_the_lens(block):
@@ -134,6 +87,10 @@ def test_the_calibration_contains_the_air_in_the_lens(block):
     assert numbers["f"] == pytest.approx(fy, abs=1e-9)
     assert numbers["b1"] == pytest.approx(b1, abs=1e-9)
     assert numbers["f"] == taken_with["fy_px"]
+    assert taken_with["fx_px"] == pytest.approx(fx)
+    assert taken_with["lens_change_ppm"] == pytest.approx(1e6 * LENS_CHANGE_PX / NADIR.fx_px)
+    assert calibrations["nadir"]["written"]["f_px"] == NADIR.fx_px
+    assert calibrations["side"]["taken_with"]["lens_change_ppm"] == 0.0
     assert numbers["cx"] == pytest.approx(NADIR.cx_px - 7000.0)
     assert numbers["cy"] == pytest.approx(NADIR.cy_px - 5300.0)
     assert of_side["f"] == SIDE.fx_px

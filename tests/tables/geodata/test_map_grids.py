@@ -159,7 +159,6 @@ def test_what_is_unfit_is_refused_with_what_to_do(crs, words):
 @pytest.mark.parametrize(
     ("crs", "lat", "lon", "words"),
     [
-        ("EPSG:5513", 49.8, 15.5, "mirrored"),
         ("EPSG:25832", np.nan, np.nan, "no station has a position"),
         ("ESRI:53004", 47.4, 8.6, "accuracy"),
     ],
@@ -173,12 +172,14 @@ def test_a_geoid_for_heights_that_need_none_is_refused(crs):
     assert "no vertical part" in refusal(crs, geoid=level_geoid(47.0)).what
 
 
+def test_a_mirrored_system_has_one_that_is_not():
+    error = refusal("EPSG:5513", 49.8, 15.5)
+    assert "mirrored" in error.what
+    assert "EPSG:5514" in error.remedy
+
+
 def test_heights_above_another_ellipsoid_are_refused():
     assert "ellipsoid" in refusal("EPSG:9267", 47.4, 13.0, needs_angles=False).what
-
-
-def test_a_mirrored_system_has_one_that_is_not():
-    assert "EPSG:5514" in refusal("EPSG:5513", 49.8, 15.5).remedy
 
 
 def height_notes(crs):
@@ -199,11 +200,6 @@ def test_heights_of_a_system_without_a_vertical_part_are_named():
 @pytest.mark.parametrize("crs", ["EPSG:25832+5773", "EPSG:4979"])
 def test_heights_that_a_system_names_itself_need_no_note(crs):
     assert height_notes(crs) == []
-
-
-def test_a_system_of_the_named_heights_has_those_of_the_run():
-    grid, _ = opened("EPSG:25832+5773", 47.4, 8.6)
-    assert grid.height.heights(*radians(47.4, 8.6), 400.0, 447.0) == 400.0
 
 
 def test_the_area_of_use_to_two_degrees_is_a_warning():

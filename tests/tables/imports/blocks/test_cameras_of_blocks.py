@@ -8,7 +8,7 @@ import pycolmap
 import pytest
 
 from tests.helpers import refused
-from tests.lens import brown
+from tests.lens import brown, metashape_pixels
 from tests.tables.checks import assert_within, refused_with
 from unbend.refraction.calibration import camera_of_model
 from unbend.tables.imports.blocks import read_camera
@@ -124,6 +124,8 @@ def test_opensfm(name):
 # Metashape
 
 FRAME = {
+    "width": 5472,
+    "height": 3648,
     "f": 3666.5,
     "cx": 12.75,
     "cy": -20.5,
@@ -140,27 +142,7 @@ FRAME = {
 
 def calibration(numbers, kind="frame"):
     tags = "".join(f"<{name}>{value!r}</{name}>" for name, value in numbers.items())
-    return (
-        f"<calibration><projection>{kind}</projection><width>5472</width>"
-        f"<height>3648</height>{tags}</calibration>"
-    )
-
-
-def metashape_pixels(numbers, kind):
-    """The formulas of the user manual's appendix on camera models."""
-    f, cx, cy, b1, b2, k1, k2, k3, k4, p1, p2 = (numbers.get(name, 0.0) for name in FRAME)
-    x, y = RAYS
-    if kind == "fisheye":
-        r0 = np.hypot(x, y) + 1e-300
-        x = x * np.arctan(r0) / r0
-        y = y * np.arctan(r0) / r0
-    r = np.hypot(x, y)
-    radial = 1 + k1 * r**2 + k2 * r**4 + k3 * r**6 + k4 * r**8
-    x_ = x * radial + (p1 * (r**2 + 2 * x**2) + 2 * p2 * x * y)
-    y_ = y * radial + (p2 * (r**2 + 2 * y**2) + 2 * p1 * x * y)
-    x_px = 5472 * 0.5 + cx + x_ * f + x_ * b1 + y_ * b2
-    y_px = 3648 * 0.5 + cy + y_ * f
-    return np.transpose([x_px, y_px])
+    return f"<calibration><projection>{kind}</projection>{tags}</calibration>"
 
 
 @pytest.mark.parametrize(
@@ -180,7 +162,7 @@ def test_metashape(left_out, kind):
 
     camera = read_camera(path, None, None)
 
-    expected = metashape_pixels(numbers, kind)
+    expected = metashape_pixels(numbers, kind, *RAYS).T
     assert_within(projected(camera), expected, 1e-9)
     u, v, covered = camera.rays(*expected.T)
     assert covered.sum() > 40
