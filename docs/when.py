@@ -90,9 +90,11 @@ above ground, refraction is 0.3 arcsec at a nadir angle of 45°: in the middle o
 The simulated lens is not affected by the air in it. A real lens is: Meier computed for one of 153
 mm, calibrated in a laboratory, that its principal distance is wrong at 6 km by 130 ppm behind a
 pressurised window and by up to 310 ppm in the outside air. That is 0.8 to 1.9 m of height if
-nothing absorbs it, more than the refraction in this table. Other lenses differ, and a sealed lens
-may have none. `unbend` removes it if the mission file states
-[the air of the calibration](pages/guide/lens.md). Self-calibration and control absorb it too.
+nothing absorbs it, more than refraction does to a nadir block in this table. Other lenses differ,
+and a sealed lens may have none.
+
+`unbend` removes it if the mission file states [the air of the calibration](pages/guide/lens.md).
+Self-calibration and control absorb it too.
 """
 TWICE = """
 In the last two rows the calibration was estimated from uncorrected images (control, GNSS), so it
