@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from tests.atmosphere.adjusting import codes
 from tests.atmosphere.values import saturated
-from tests.helpers import ns, refused
+from tests.helpers import ns, refused, with_code
 from unbend.atmosphere.surface_report import (
     parse_metar,
     station_pressure,
@@ -255,7 +255,8 @@ A3030 = 30.305 * 33.86389
     ],
 )
 def test_forms_of_reports(text, celsius, qnh_hpa):
-    report, _ = parsed(text, when="2015-03-12T12:30")
+    report, notes = parsed(text, when="2015-03-12T12:30")
+    assert not with_code(notes, "METAR-GROUPS")
     assert_allclose(report.temperature_k, celsius + 273.15)
     assert_allclose(report.pressure_pa, 100.0 * qnh_hpa)
     assert report.origin == "METAR LOWW"

@@ -185,7 +185,8 @@ def _checked_groups(body: str, place: str) -> tuple[tuple[str, ...], str]:
         warnings.simplefilter("always")
         try:
             # With month and year the package does not guess them; January has all 31 days.
-            report = LibraryReport(_with_signs(body), month=1, year=2000, strict=False)
+            usual_body = _SETTING.sub(_usual_setting, _with_signs(body))
+            report = LibraryReport(usual_body, month=1, year=2000, strict=False)
         except (ParserError, ValueError, TypeError, ArithmeticError, LookupError) as error:
             why = f"the report does not parse: {error}"
             raise messages.metar_parse(where=place, why=why) from None
@@ -193,6 +194,14 @@ def _checked_groups(body: str, place: str) -> tuple[tuple[str, ...], str]:
         raise messages.metar_parse(where=place, why="no station is found")
     complaints = tuple(" ".join(str(warning.message).split()) for warning in caught)
     return complaints, str(report.station_id)
+
+
+def _usual_setting(setting: re.Match[str]) -> str:
+    """An altimeter setting as a METAR has it: QNH1016HPA is Q1016, QNH2992INS is A2992."""
+    letter, digits, unit = setting.groups()
+    if unit is None:
+        return f"{letter[0]}{digits}"
+    return f"A{digits}" if unit == "INS" else f"Q{digits}"
 
 
 def _celsius(field: str | None) -> float:

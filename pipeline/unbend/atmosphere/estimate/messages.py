@@ -711,7 +711,7 @@ AIR_SOURCE_FAR = Code(
         "A sounding or weather report is too old or too far away to have information on this "
         "flight's air."
     ),
-    effect="It is not used.",
+    effect="It is not used. The run ends with exit code 3.",
     remedy=(
         "Give a report or sounding of the same day and region. If the mission file states the date "
         "of the flight, check it too."
