@@ -33,11 +33,15 @@ from unbend.cli import main as unbend_main
 from unbend.config import load_mission
 from unbend.config.campaign import campaign_of
 from unbend.errors import UnbendError
+from unbend.report.words import hanging
 
 DOCS = Path(__file__).resolve().parent
 REPOSITORY = DOCS.parent
 FIRST = DOCS / "pages" / "first_flight.md"  # whose folder other pages go on in
 NUMBER = re.compile(r"\d[\d,]*\.\d+")
+COLUMNS = 80  # of the terminal that the pages show
+MESSAGE = re.compile(r" *(?:[a-z]+ +)?(?:[A-Z][A-Z0-9]*(?:-[A-Z0-9]+)+|to do|where):")
+"""The beginning of a message with its code, or of its remedy or its place."""
 SMALL = 2e-5
 FENCE = re.compile(
     r"^(?P<indent> *)```(?P<kind>\w*)(?P<rest>[^\n]*)\n(?P<body>.*?)^(?P=indent)```", re.M | re.S
@@ -261,11 +265,23 @@ def run_console(block: Block, differences: list[Difference]) -> None:
             printed = f"{code}\n"
         else:
             printed, code = run_line(line)
+            if line.startswith("unbend "):
+                printed = as_in_terminal(printed)
             code_is_shown = commands[number + 1 : number + 2] == ["echo $?"]
             if code and not code_is_shown:
                 raise ValueError(f"{line!r} ends with {code}, which is not shown:\n{printed}")
         if not matches(shown, printed):
             differences.append(Difference(shown, printed, start, end))
+
+
+def as_in_terminal(text: str) -> str:
+    """Messages of a command wrapped as in a terminal of 80 columns; other lines stay whole."""
+    shown = []
+    for line in text.splitlines():
+        if MESSAGE.match(line):
+            line = hanging(line, COLUMNS)
+        shown.append(line)
+    return "".join(f"{line}\n" for line in shown)
 
 
 def run_sh(block: Block) -> None:
@@ -434,7 +450,7 @@ def main() -> int:
     named = [Path(word).resolve() for word in words if word[0] != "-"]
     every = os.environ.get("UNBEND_SNIPPETS") == "all"
     bad = 0
-    os.environ["COLUMNS"] = "80"
+    os.environ["COLUMNS"] = str(COLUMNS)
     ready = Path(tempfile.mkdtemp())
     for page in named or pages():
         if not every and not any(block.runs and not block.slow for block in blocks(page)):
