@@ -265,15 +265,15 @@ def fit_calibration(
     seen = seen_rays(run, name, stations, observed)
     base = as_written(calibrated.camera, name, ledger)
     effect = seen.rms(seen.moved_px)
-    camera = fit.changed_camera(base, seen.rays, fit.FEW)
-    full_camera = fit.changed_camera(base, seen.rays, fit.FULL)
-    left_by_camera = seen.rms(seen.rays.left_px(camera))
-    left_by_full = seen.rms(seen.rays.left_px(full_camera))
+    camera = fit.fitted_camera(base, seen.rays, fit.NADIR_PARAMETERS)
+    full_camera = fit.fitted_camera(base, seen.rays, fit.ALL_PARAMETERS)
+    left_by_camera = seen.rms(seen.rays.residual_px(camera))
+    left_by_full = seen.rms(seen.rays.residual_px(full_camera))
     unknowns: Sequence[str] = ("c", "k1")
     if left_by_camera.px > max(_GOOD * effect.px, _AS_GOOD * left_by_full.px):
         camera = full_camera
         left_by_camera = left_by_full
-        unknowns = fit.CORRECTIONS
+        unknowns = fit.CORRECTION_TERMS
     change, left_px = fit.correction_change(calibrated.camera, seen.rays, unknowns)
     height_m = run.exposures.height_m[stations]
     ground_m = run.ground_m[stations]
@@ -310,8 +310,8 @@ def as_written(camera: Camera, name: str, ledger: Ledger) -> Camera:
     )
     lens = camera.distortion
     radial = BrownConrady(lens.k1, lens.k2, lens.k3)
-    written = fit.changed_camera(replace(camera, distortion=radial), rays, fit.FULL)
-    misfit_px = float(np.hypot(*rays.left_px(written).T).max())
+    written = fit.fitted_camera(replace(camera, distortion=radial), rays, fit.ALL_PARAMETERS)
+    misfit_px = float(np.hypot(*rays.residual_px(written).T).max())
     if misfit_px > _LARGEST_MISFIT_PX:
         ledger.add(messages.lens_simplified(where=f"cameras.{name}", name=name, misfit=misfit_px))
     return written
