@@ -140,7 +140,7 @@ def compared_places(
 ) -> PlaceComparison | None:
     """Compare stations with their known positions; None if no station has both.
 
-    ``known`` (n, 3) are latitude, longitude [rad] and height [m] of the stations, NaN where unknown.
+    ``known`` (n, 3) are latitude, longitude [rad] and height [m] by station, NaN where unknown.
     Turn, scale and tilt need at least `FEWEST_FOR_A_TURN` images.
     """
     position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)
