@@ -237,7 +237,7 @@ def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
     ]
     assert refs[3].load().output.path == "out/inline"
     assert refs[3].label.endswith("season.yaml: inline")
-    assert refs[3].words == (str(file), "--mission", "inline")
+    assert refs[3].run_arguments == (str(file), "--mission", "inline")
     assert refs[1].words == (str(file), "--mission", str(tmp_path / "a" / "m.yaml"))
 
 

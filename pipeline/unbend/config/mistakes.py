@@ -9,9 +9,9 @@ import yaml
 
 from unbend.config.keys import as_written, in_words
 from unbend.config.likely_meant import (
-    camera_in_millimetres,
     comma_in_words,
-    same_in_other_unit,
+    key_in_other_unit,
+    metric_key_of,
     unit_of,
 )
 from unbend.config.schema import Node, alternatives, campaign_schema, nodes_at
@@ -225,7 +225,7 @@ def _suggested_key(place: Place, *, is_campaign: bool) -> str:
     """The key of the same section that an unknown key seems to mean; "" if there is none."""
     key = str(place[-1])
     allowed_keys = _keys_at(place[:-1], is_campaign=is_campaign)
-    other_unit = same_in_other_unit(key, allowed_keys)
+    other_unit = key_in_other_unit(key, allowed_keys)
     if other_unit:
         return other_unit
     if len(sections_with_key(key)) == 1:
@@ -239,14 +239,14 @@ def _unknown_key(place: Place, *, is_campaign: bool) -> str:
     section = place[:-1]
     allowed_keys = _keys_at(section, is_campaign=is_campaign)
     key = str(place[-1])
-    metric = camera_in_millimetres(key)
+    metric = metric_key_of(key)
     if len(section) == 2 and section[0] == "cameras" and metric:
         in_pixels = "the principal distance in pixels is f_px; " if "focal" in metric else ""
         return (
             f"unknown key; {in_pixels}lengths of a camera in millimetres are in its section "
             f"metric: {metric}"
         )
-    other_unit = same_in_other_unit(key, allowed_keys)
+    other_unit = key_in_other_unit(key, allowed_keys)
     if other_unit:
         return f"unknown key; perhaps {other_unit!r}, in {unit_of(other_unit)}?"
     elsewhere = sections_with_key(key)
