@@ -64,8 +64,8 @@ def comma_in_words(text: str) -> str:
 def number_with_point(text: str) -> str | None:
     """A number with a comma, rewritten with a point; None for any other text.
 
-    >>> number_with_point("-0,018"), number_with_point("20.000,5"), number_with_point("20,000.5"), number_with_point("a,b")
-    ('-0.018', '20000.5', '20000.5', None)
+    >>> [number_with_point(text) for text in ("-0,018", "20.000,5", "20,000.5", "a,b")]
+    ['-0.018', '20000.5', '20000.5', None]
     """
     text = text.strip()
     if _GROUPS_BY_COMMAS.fullmatch(text):

@@ -128,7 +128,7 @@ class ChannelsSection(Section):
     )
 
     def named(self) -> dict[str, NamedChannel]:
-        """The channels that the section names, by role; roles that are absent or null are left out."""
+        """The named channels by role, without roles that are absent or null."""
         channels = {}
         for role in type(self).model_fields:
             value = getattr(self, role)
