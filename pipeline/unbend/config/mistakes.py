@@ -202,8 +202,9 @@ def _advice_on_type(refused: Refused) -> str:
             return f"a list of {number}: numbers have a decimal point, not a comma; use {allowed}"
         case int() | float() if refused.kind in OF_LIMITS and "lever_arm_m" in refused.place:
             return (
-                f"{_value_in_words(refused.value)} is not allowed; use {allowed_at(refused.place)}: lever "
-                "arms are in metres, and this looks like millimetres or centimetres"
+                f"{_value_in_words(refused.value)} is not allowed; use "
+                f"{allowed_at(refused.place)}: lever arms are in metres, and this looks like "
+                "millimetres or centimetres"
             )
         case dict() if "string" in types and _has_only_keys(refused.value):
             keys = ", ".join(map(str, refused.value))

@@ -129,7 +129,7 @@ ENDINGS_OF_FILES = (
 
 
 def folder_of_results(path: str) -> str:
-    """Check the path of a folder of results and return it; refuses (SectionError) that of a file."""
+    """Check the path of a folder of results and return it; raises SectionError for a file."""
     ending = PurePath(path).suffix
     if ending.lower() in ENDINGS_OF_FILES:
         folder = path.rstrip("/").removesuffix(ending)
