@@ -324,6 +324,7 @@ class GeoidGrid:
         height_of_cell = meridian * np.radians(self.step_lat_deg)
         width_of_cell = prime_vertical * np.cos(lat) * np.radians(self.step_lon_deg)
         with np.errstate(divide="ignore", invalid="ignore"):
-            xi = np.asarray(-rise_northwards / height_of_cell)
-            eta = np.asarray(-rise_eastwards / width_of_cell)
-        return xi, eta
+            return (
+                np.asarray(-rise_northwards / height_of_cell),
+                np.asarray(-rise_eastwards / width_of_cell),
+            )

@@ -73,6 +73,16 @@ def raise_if_ended_by_signal() -> None:
         raise SystemExit(_exit_codes_of_signals[0]) from None
 
 
+def _python_handlers() -> dict[signal.Signals, Callable[[int, FrameType | None], object]]:
+    """The installed handlers of `SIGNALS`, without SIG_DFL and SIG_IGN."""
+    handlers = {}
+    for number in SIGNALS:
+        handler = signal.getsignal(number)
+        if callable(handler):
+            handlers[number] = handler
+    return handlers
+
+
 @contextmanager
 def held_back() -> Iterator[Callable[[], None]]:
     """Hold Ctrl-C and SIGTERM back while the block runs.
@@ -88,11 +98,7 @@ def held_back() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
-    handlers = {}  # those that are restored at the end
-    for number in SIGNALS:
-        handler = signal.getsignal(number)
-        if callable(handler):  # not SIG_DFL or SIG_IGN
-            handlers[number] = handler
+    handlers = _python_handlers()
     pending: list[tuple[int, FrameType | None]] = []
     has_ended = False
 

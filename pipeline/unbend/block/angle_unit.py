@@ -47,11 +47,16 @@ def concentration(angle_rad: Array) -> float:
     >>> concentration(np.array([3.1, 3.1])), round(concentration(np.array([0.0, np.pi])), 9)
     (1.0, 0.0)
     """
-    return float(np.abs(np.mean(np.exp(1j * angle_rad))))
+    unit_vectors = np.exp(1j * angle_rad)
+    return float(np.abs(np.mean(unit_vectors)))
 
 
 def are_radians(
-    stated: Array, heading_sign: float, lat_rad: Array, lon_rad: Array, usable: Mask
+    stated: Array,
+    heading_sign: float,
+    lat_rad: Array,
+    lon_rad: Array,
+    usable: Mask,
 ) -> bool:
     """Whether angles that are stated in degrees or gon follow the flight lines only as radians.
 

@@ -199,15 +199,16 @@ def likely_explanations(
         gain = explained.log_likelihood - intersection.log_likelihood
         if gain + min(0.0, estimated.log_odds) > LOG_RATIO_NEEDED:
             text = error_in_words(mission, estimated, explained, sigma)
-            explanation = Explanation(
-                hypothesis=estimated,
-                reading=reading,
-                intersection=explained,
-                gain=gain,
-                text=text,
-                beyond_datums=is_beyond_datums(mission, estimated, explained, sigma),
+            explanations.append(
+                Explanation(
+                    hypothesis=estimated,
+                    reading=reading,
+                    intersection=explained,
+                    gain=gain,
+                    text=text,
+                    beyond_datums=is_beyond_datums(mission, estimated, explained, sigma),
+                )
             )
-            explanations.append(explanation)
     return explanations
 
 
