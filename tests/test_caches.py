@@ -39,7 +39,7 @@ def test_the_compiler_uses_the_same_folder(monkeypatch, tmp_path):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     folder = jit.cache_folder.__wrapped__()
     assert folder is not None
-    assert folder.startswith(caches.compiled_code())
+    assert folder.startswith(caches.compiled_code_folder())
 
 
 def test_what_warm_compiles_is_what_missions_call(unbend):

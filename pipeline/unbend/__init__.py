@@ -35,7 +35,7 @@ __all__ = [
     "standard_atmosphere",
 ]
 
-_MODULES = {
+_MODULE_OF_NAME = {
     "UnbendError": "unbend.errors",
     "correct": "unbend.library",
     "correct_observations": "unbend.refraction",
@@ -50,9 +50,10 @@ _MODULES = {
 if not TYPE_CHECKING:  # for mypy a name that does not exist stays an error
 
     def __getattr__(name: str) -> Any:
-        if name not in _MODULES:
+        """Import the module of a name of `__all__` when the name is first used."""
+        if name not in _MODULE_OF_NAME:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(_MODULES[name]), name)
+        return getattr(import_module(_MODULE_OF_NAME[name]), name)
 
 
 def __dir__() -> list[str]:

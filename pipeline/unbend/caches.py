@@ -1,6 +1,6 @@
-"""What only takes time to make again: compiled code, templates, copies of inputs.
+"""Folders for what can be made again: compiled code, parsed templates, copies of inputs.
 
-All of it lies in one folder of the user's, and none of it is a result.
+By default all are in one folder of the user, and none of them contains results.
 """
 
 import os
@@ -8,38 +8,42 @@ import re
 import shutil
 import time
 
-OF_COMPILED = re.compile(r"unbend-[0-9a-f]{16}")
-"""Names of the folders of compiled code, one for each state of the sources."""
+COMPILED_FOLDER = re.compile(r"unbend-[0-9a-f]{16}")
+"""Pattern of the names of folders of compiled code; there is one for each state of the sources."""
 
 _DAY_S = 86_400.0
 
 
-def user_cache() -> str:
-    """The folder: ``unbend`` in XDG_CACHE_HOME or ~/.cache."""
+def user_cache_folder() -> str:
+    """The folder of all caches of this user: ``unbend`` in XDG_CACHE_HOME, or in ~/.cache."""
     base = os.environ.get("XDG_CACHE_HOME")
     if not base:
         base = os.path.expanduser("~/.cache")
     return os.path.join(base, "unbend")
 
 
-def compiled_code() -> str:
-    """The folder for folders of compiled code: NUMBA_CACHE_DIR, or one in the user's cache."""
-    return os.environ.get("NUMBA_CACHE_DIR") or os.path.join(user_cache(), "numba")
+def compiled_code_folder() -> str:
+    """The folder that contains folders of compiled code: NUMBA_CACHE_DIR, or one in the cache."""
+    return os.environ.get("NUMBA_CACHE_DIR") or os.path.join(user_cache_folder(), "numba")
 
 
-def parsed_templates() -> str:
+def parsed_templates_folder() -> str:
     """The folder for templates of reports, parsed; names hold jinja2's version and our code."""
-    return os.path.join(user_cache(), "templates")
+    return os.path.join(user_cache_folder(), "templates")
 
 
-def forget_oldest(folder: str, most_bytes: int) -> None:
-    """Remove from a folder what was used longest ago, beyond a size, and not within a day."""
+def remove_oldest(folder: str, most_bytes: int) -> None:
+    """Remove the oldest entries of a folder, until at most ``most_bytes`` are left.
+
+    Entries are files and folders, and their age counts from their last change. Those of the last
+    day stay, also in a folder that is too large.
+    """
     paths = [os.path.join(folder, name) for name in os.listdir(folder)]
-    excess = sum(map(size_of, paths)) - most_bytes
+    excess_bytes = sum(map(size_of, paths)) - most_bytes
     for path in sorted(paths, key=os.path.getmtime):
         age_s = time.time() - os.path.getmtime(path)
-        if excess > 0 and age_s > _DAY_S:
-            excess -= size_of(path)
+        if excess_bytes > 0 and age_s > _DAY_S:
+            excess_bytes -= size_of(path)
             shutil.rmtree(path, ignore_errors=True)
 
 

@@ -14,7 +14,9 @@ from unbend.exit_codes import EXIT_CONFIG, EXIT_IN_USE, EXIT_REFUSED, EXIT_STORA
 
 
 class Counted(int):
-    """A number that is written with its noun; in files it is the number.
+    """A number that is shown with its noun in texts, in the singular or the plural.
+
+    Written as JSON it is the number alone.
 
     >>> f"{Counted(1, 'image')} of {Counted(2, 'strip')}, {Counted(0, 'axis', 'axes')}"
     '1 image of 2 strips, 0 axes'
@@ -22,9 +24,9 @@ class Counted(int):
 
     noun: str
 
-    def __new__(cls, number: int, one: str, many: str = "") -> Self:
+    def __new__(cls, number: int, singular: str, plural: str = "") -> Self:
         counted = super().__new__(cls, number)
-        counted.noun = one if number == 1 else many or f"{one}s"
+        counted.noun = singular if number == 1 else plural or f"{singular}s"
         return counted
 
     def __getnewargs__(self) -> tuple[int, str, str]:  # type: ignore[override]
@@ -38,7 +40,7 @@ class Counted(int):
 
 
 Value = str | int | float
-"""What a text of a message names."""
+"""A value that is filled into the text of a message."""
 
 
 @dataclass(frozen=True)
@@ -61,19 +63,19 @@ _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD},}}|\s{{{LONGEST_WORD},}}")
 
 
 def rendered(text: str, values: Mapping[str, Value]) -> str:
-    """A text with the values filled in for the names in its braces; values stay as they are.
+    """A text with values filled in for the names in its braces; braces inside a value stay.
 
-    Of a word of more than `LONGEST_WORD` characters, as a damaged file may have, the begin is left;
-    and of a text of more than `LONGEST_TEXT`, which lists the names of thousands of things.
+    A word of `LONGEST_WORD` characters or more, as from a damaged file, is cut to its first
+    `SHOWN_OF_WORD`; the result is cut to `LONGEST_TEXT`, and the number of cut characters added.
 
     >>> rendered("{count} images of {name!r}", {"count": 2, "name": "strip {1}"})
     "2 images of 'strip {1}'"
     """
     filled = text.format_map(values)
     short = _LONG_WORD.sub(lambda word: f"{word[0][:SHOWN_OF_WORD]}...", filled)
-    left_out = len(short) - LONGEST_TEXT
-    if left_out > 0:
-        short = f"{short[:LONGEST_TEXT]}... ({left_out:,} more characters)"
+    excess = len(short) - LONGEST_TEXT
+    if excess > 0:
+        short = f"{short[:LONGEST_TEXT]}... ({excess:,} more characters)"
     return short
 
 
@@ -81,11 +83,11 @@ Refusal = TypeVar("Refusal", bound="UnbendError")
 
 
 class UnbendError(Exception):
-    """A refusal: its code, what is wrong with its numbers, where, and what to do.
+    """A refusal: its code, what is wrong (``what``), where, and what to do about it.
 
-    ``text`` and ``remedy`` hold the names of ``values``, ``where`` and ``count`` in braces; ``one``
-    is the text for a count of 1, where that is another. Made by the functions of ``messages.py``
-    in each package.
+    ``text`` and ``remedy`` contain ``{where}``, ``{count}`` and the names of ``values`` in braces;
+    ``one`` is the text for a count of 1, if it differs. The functions of ``messages.py`` in each
+    package make refusals.
 
     >>> empty = Code("LOG-EMPTY", means="A log has no bytes.", effect="None.", remedy="Copy it.")
     >>> print(LogError(empty, "the file has {n} bytes", where="a.bin", remedy="copy it again", n=0))
@@ -110,7 +112,7 @@ class UnbendError(Exception):
         self.where = str(where)
         self.count = count
         self.values = values
-        if isinstance(code, str):  # rendered before: it comes from another process
+        if isinstance(code, str):  # a copy of a refusal: its texts are complete
             self.code = code
             self.what = text
             self.remedy = remedy
@@ -122,16 +124,17 @@ class UnbendError(Exception):
             self.remedy = rendered(remedy, names)
         super().__init__(self.code, self.what, self.where, self.remedy)
 
-    def again(self, kind: "type[Refusal]", where: object) -> "Refusal":
-        """The same refusal of another kind, at another place."""
+    def as_kind(self, kind: "type[Refusal]", *, where: object) -> "Refusal":
+        """A copy of the refusal as another class of error, at another place."""
         refusal = kind(self.code, self.what, where=where, count=self.count, remedy=self.remedy)
         refusal.what = self.what
         refusal.values = self.values
         return refusal
 
     def __reduce__(self) -> tuple[object, ...]:
-        again = partial(type(self), where=self.where, remedy=self.remedy)
-        return again, (self.code, self.what), {"count": self.count, "values": self.values}
+        """How pickle copies a refusal: by its texts as they are, then ``count`` and ``values``."""
+        copy = partial(type(self), where=self.where, remedy=self.remedy)
+        return copy, (self.code, self.what), {"count": self.count, "values": self.values}
 
     def __str__(self) -> str:
         lines = [f"{self.code}: {self.what}"]

@@ -11,5 +11,8 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 
 def exit_code_of(*, has_losses: bool) -> int:
-    """3 where the ledger has losses, or findings that are not accepted (`Ledger.has_losses`)."""
+    """The exit code of a run that came to its end: 3 with losses, 0 without.
+
+    ``has_losses`` : `Ledger.has_losses`; findings that are not accepted count as losses.
+    """
     return EXIT_LOSSES if has_losses else EXIT_DONE

@@ -48,7 +48,7 @@ class Gravity:
         return self.r_phi * h * self.g_phi / ((self.r_phi + h) * STANDARD_GRAVITY)
 
     def height(self, geopotential: ArrayLike) -> Array:
-        """Height above sea level [m] of geopotential heights [m'], the inverse..
+        """Height above sea level [m] of geopotential heights [m'], the inverse function.
 
         >>> float(Gravity(9.80665, 6356766.0).height(11000.0).round(1))
         11019.1
@@ -79,9 +79,10 @@ def lambert_gravity(latitude_rad: float) -> Gravity:
 
 
 def normal_gravity(latitude_rad: float) -> Gravity:
-    """WGS84 normal gravity at the ellipsoid, and the effective radius by which it falls off.
+    """WGS84 normal gravity at the ellipsoid, and the effective radius for its decrease with height.
 
-    Valid at all latitudes; pressure integrated with it stays within 1e-6 of itself up to 25 km.
+    Valid at all latitudes; a pressure integrated with it has a relative error below 1e-6 up to
+    25 km.
     Source: Somigliana's formula and the free-air gradient at the ellipsoid (NIMA TR8350.2, 4-1
     and 4-3).
 
@@ -127,11 +128,11 @@ def principal_radii(latitude_rad: ArrayLike) -> tuple[Array, Array]:
 def offset_geodetic(
     latitude_rad: Array, longitude_rad: Array, h_ellipsoid: Array, enu: Array
 ) -> tuple[Array, Array, Array]:
-    """Geodetic position reached by a straight step along east, north and up of its start.
+    """Latitude, longitude [rad] and ellipsoidal height [m] of places after a straight step.
 
-    ``enu`` is (n, 3) [m]. Within 5e-9 m of the same step in 64-bit mantissas, for steps up to
-    1000 km: computed in earth-centred coordinates, so poles and the 180th meridian are no special
-    case. Longitudes return in [-pi, pi].
+    ``enu`` (n, 3) are the steps [m] along east, north and up at their starts. Computed in
+    earth-centred coordinates, also at the poles and across the 180th meridian. Within 5e-9 m of the
+    same step in extended precision, for steps up to 1000 km. Longitudes are in [-pi, pi].
     """
     point = ecef_of_geodetic(latitude_rad, longitude_rad, h_ellipsoid)
     axes = enu_from_ecef(latitude_rad, longitude_rad)
@@ -141,7 +142,9 @@ def offset_geodetic(
 
 
 def longitudes_near(longitude_rad: Array, reference_rad: ArrayLike) -> Array:
-    """(n,) longitudes [rad] within half a turn of a reference, on across the 180th meridian.
+    """Longitudes [rad], moved by whole turns to within half a turn of a reference.
+
+    So they are continuous across the 180th meridian. The reference is one or (n,).
 
     >>> np.degrees(longitudes_near(np.radians([179.0, -179.0]), 3.1)).round().tolist()
     [179.0, 181.0]
@@ -212,7 +215,7 @@ _TOLERANCE = 1e-6  # of a grid's edges and of its width: rounded headers
 
 @dataclass(frozen=True, eq=False)
 class _Cell:
-    """The cells of a grid that contain places: their corners, and where the places lie in them.
+    """The cells of a grid that contain places: their corners, and where in them the places are.
 
     Parameters
     ----------
@@ -239,7 +242,7 @@ class GeoidGrid:
     values_m : (rows, columns) ellipsoidal minus orthometric height [m], from the south-west corner
         to the north and east; NaN where unknown.
     south_deg, west_deg : the place of the first value.
-    step_lat_deg, step_lon_deg : between rows and between columns.
+    step_lat_deg, step_lon_deg : distance of two rows, and of two columns.
     """
 
     name: str
@@ -302,8 +305,8 @@ class GeoidGrid:
     def deflection(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
         """Deflection of the vertical to the north (xi) and to the east (eta), both [rad].
 
-        The zenith of the plumb line lies north and east of the ellipsoid's by minus the slopes of
-        the geoid (Heiskanen & Moritz 1967, Eq. 2-204), here the mean slopes of a cell of the grid.
+        The zenith of the plumb line is north and east of that of the ellipsoid by minus the slopes
+        of the geoid (Heiskanen & Moritz 1967, Eq. 2-204): here the mean slopes of a grid cell.
         EGM96 at 15 minutes smooths over 28 km, in mountains by several arcseconds. Not defined at
         the poles.
         """
@@ -314,11 +317,14 @@ class GeoidGrid:
         north_rise = cell.north_east - cell.north_west
         west_rise = cell.north_west - cell.south_west
         east_rise = cell.north_east - cell.south_east
-        eastwards = south_rise * (1.0 - north) + north_rise * north
-        northwards = west_rise * (1.0 - east) + east_rise * east
+        rise_eastwards = south_rise * (1.0 - north) + north_rise * north
+        rise_northwards = west_rise * (1.0 - east) + east_rise * east
         lat = np.asarray(lat_rad, np.float64)
         meridian, prime_vertical = principal_radii(lat)
         height_of_cell = meridian * np.radians(self.step_lat_deg)
         width_of_cell = prime_vertical * np.cos(lat) * np.radians(self.step_lon_deg)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(-northwards / height_of_cell), np.asarray(-eastwards / width_of_cell)
+            return (
+                np.asarray(-rise_northwards / height_of_cell),
+                np.asarray(-rise_eastwards / width_of_cell),
+            )

@@ -27,20 +27,27 @@ _exit_codes_of_signals: list[int] = []
 
 
 def end_process(exit_code: int) -> NoReturn:
-    """Called by a signal handler: raise SystemExit, and remember it; further signals do nothing."""
+    """Raise SystemExit in a signal handler, and remember that; further signals do nothing."""
     ignore_further_signals()
     _exit_codes_of_signals.append(exit_code)
     raise SystemExit(exit_code)
 
 
 def ignore_further_signals() -> None:
-    """Let the shutdown finish. SIG_IGN would print a warning if a signal is already pending."""
+    """Let `SIGNALS` do nothing, so that the shutdown finishes.
+
+    The handler is a function, because SIG_IGN prints a warning if a signal is already pending.
+    """
     for number in SIGNALS:
         signal.signal(number, lambda *_: None)
 
 
 def send_again_if_ignored(unraisable: "sys.UnraisableHookArgs") -> None:
-    """The hook of Python for exceptions that it ignores: that of a signal is not to be lost."""
+    """Hook (``sys.unraisablehook``) for exceptions that Python ignores.
+
+    If it is the SystemExit of a signal, a signal that raises it again is sent after `AGAIN_S`. Any
+    other exception is shown as usual.
+    """
     if not _exit_codes_of_signals or not isinstance(unraisable.exc_value, SystemExit):
         sys.__unraisablehook__(unraisable)
         return
@@ -50,7 +57,7 @@ def send_again_if_ignored(unraisable: "sys.UnraisableHookArgs") -> None:
 
 
 def _signal_main_thread() -> None:
-    """Send SIGTERM to the main thread, which may wait outside Python."""
+    """Send SIGTERM to the main thread: also one that waits outside Python gets it."""
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
     else:  # Windows
@@ -58,17 +65,32 @@ def _signal_main_thread() -> None:
 
 
 def raise_if_ended_by_signal() -> None:
-    """Raise the SystemExit of a signal again, where an error may be what a library made of it."""
+    """Raise the SystemExit of a signal again, if `end_process` raised one; else do nothing.
+
+    Called where an error is handled: a library may have turned the SystemExit into that error.
+    """
     if _exit_codes_of_signals:
         raise SystemExit(_exit_codes_of_signals[0]) from None
 
 
+def _python_handlers() -> dict[signal.Signals, Callable[[int, FrameType | None], object]]:
+    """The installed handlers of `SIGNALS`, without SIG_DFL and SIG_IGN."""
+    handlers = {}
+    for number in SIGNALS:
+        handler = signal.getsignal(number)
+        if callable(handler):
+            handlers[number] = handler
+    return handlers
+
+
 @contextmanager
 def held_back() -> Iterator[Callable[[], None]]:
-    """Keep Ctrl-C and SIGTERM back until the block calls the function it is given, or ends.
+    """Hold Ctrl-C and SIGTERM back while the block runs.
 
-    Then the handler that was installed before gets the first that came, or it has its usual effect.
-    In other threads than the main one nothing changes.
+    The block gets a function that delivers what came so far; the end of the block delivers too. Of
+    several signals only the first one is delivered, to the handler that was installed before. A
+    signal without a handler in Python is not held back, and none in other threads than the main
+    one.
 
     >>> with held_back() as deliver:
     ...     deliver()  # nothing came
@@ -76,12 +98,12 @@ def held_back() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
-    handlers = {n: h for n in SIGNALS if callable(h := signal.getsignal(n))}
+    handlers = _python_handlers()
     pending: list[tuple[int, FrameType | None]] = []
-    over = False
+    has_ended = False
 
     def keep(number: int, frame: FrameType | None) -> None:
-        if over:  # a handler that raised while handlers were restored may have left this one behind
+        if has_ended:  # a handler raised while handlers were restored: this one is still there
             handlers[signal.Signals(number)](number, frame)
         else:
             pending.append((number, frame))
@@ -97,7 +119,7 @@ def held_back() -> Iterator[Callable[[], None]]:
             signal.signal(number, keep)
         yield deliver
     finally:
-        over = True
+        has_ended = True
         try:
             for number, handler in handlers.items():
                 if signal.getsignal(number) is keep:  # else the block replaced it on purpose

@@ -1,7 +1,7 @@
 """The correction as a library: tables in memory in, the table of a run out.
 
-It is a run without a file: a mission of the tables is prepared, checked and corrected by the
-story's steps.
+It is a run without files: a mission is made of the tables, then prepared, checked and corrected by
+the functions of `stages.story`, as in a run.
 """
 
 import json
@@ -56,10 +56,10 @@ _QUANTITY_OF_COLUMN = {
     "sigma_tilt_deg": "sigma_tilt",
     "sigma_yaw_deg": "sigma_yaw",
 }
-"""Other names that columns of stations may have."""
+"""Quantities of stations, by other names that their columns may have."""
 
 _REFERENCE_OF_HEIGHT = {"h_msl_m": "msl", "h_ellipsoid_m": "ellipsoid"}
-"""What the heights of a column of stations count from."""
+"""The reference of heights, by the name of their column."""
 
 _ANGLES_OF_COLUMN = {"omega": "omega_phi_kappa", "roll": "roll_pitch_yaw", "q_w": "quaternion"}
 """The kind of angles that stations have, by one of their columns."""
@@ -75,19 +75,19 @@ _OPTIONAL_COLUMNS = (
 """Columns of stations that are used where they are there."""
 
 _COLUMNS_OF_A_RUN = {"profile_id", "status", "q_w"}
-"""Columns that together only the stations of a run have."""
+"""Columns that show together that a table is ``stations.parquet`` of a run."""
 
 _DEFAULT_GROUND_HEIGHT = {"column": "h_g_m"}
-"""The key ``ground.height`` of tables whose caller does not state it."""
+"""The default of the key ``ground.height``."""
 
 _DEFAULT_GROUND_REFERENCE = "msl"
-"""The key ``ground.reference`` where only the default column, or a number, is given."""
+"""The default of the key ``ground.reference``: only for the default column, or for a number."""
 
 _RECORDS = ("uncertainty", "profile", "cabin_air", "ledger")
 """Records of the manifest that go with the corrected table."""
 
 _REPLACED_SECTIONS = {"log", "stations", "events", "atmosphere", "output"}
-"""Sections of a mission file that tables in memory take the place of."""
+"""Sections of a mission file that tables in memory replace, so that they may not be given."""
 
 
 def correct(
@@ -142,42 +142,45 @@ def correct(
     replaced = sorted(_REPLACED_SECTIONS & sections.keys())
     if replaced:
         raise TypeError(f"{', '.join(replaced)}: tables in memory replace these sections")
-    measured = _arrow_table(observations, "observations")
-    placed: pa.Table = _arrow_table(stations, "stations")
-    _check_order(measured, placed)
+    observation_table = _arrow_table(observations, "observations")
+    station_table: pa.Table = _arrow_table(stations, "stations")
+    _check_order(observation_table, station_table)
     _check_camera_names(cameras)
-    frame = placed.to_pandas().rename(columns=_QUANTITY_OF_COLUMN)
-    given = {"cameras": cameras, "atmosphere": _atmosphere(profile), **sections}
-    stated, known = apart_from_known_positions(orientation or {})
-    mission = mission_of_tables(frame, stated, given)
+    station_frame = station_table.to_pandas().rename(columns=_QUANTITY_OF_COLUMN)
+    all_sections = {"cameras": cameras, "atmosphere": _atmosphere(profile), **sections}
+    keys, known_positions = split_known_positions(orientation or {})
+    mission = mission_of_tables(station_frame, keys, all_sections)
     run_stations = None
-    if {*placed.column_names} >= _COLUMNS_OF_A_RUN:
-        run_stations = stations_of(placed)
+    if {*station_table.column_names} >= _COLUMNS_OF_A_RUN:
+        run_stations = stations_of(station_table)
         from_run = mission.stations.model_copy(update={"orientation": None})
         mission = mission.model_copy(update={"log": None, "stations": from_run})
-    ledger = Ledger(messages_of_tables(mission, frame, stated, sections))
-    mission, inputs = inputs_of_tables(mission, measured, frame, ledger, known=known)
+    ledger = Ledger(messages_of_tables(mission, station_frame, keys, sections))
+    mission, inputs = inputs_of_tables(
+        mission, observation_table, station_frame, ledger, known_positions=known_positions
+    )
     prepared = prepare_mission(mission, inputs, ledger, stations=run_stations)
     if not isinstance(profile, str | Mapping):
-        prepared = replace(prepared, air=air_of_stations(profile, placed, prepared.stations))
+        air = air_of_stations(profile, station_table, prepared.stations)
+        prepared = replace(prepared, air=air)
     report_given_air(profile, ledger)
     table, results = corrected_table(prepared)
     for entry in results.ledger:
         if entry.kind in LOSSES:
             warnings.warn(f"{entry.code}: {entry.what}", UserWarning, stacklevel=2)
     manifest = results.row()
-    facts = {name: manifest[name] for name in _RECORDS}
+    records = {name: manifest[name] for name in _RECORDS}
     if isinstance(observations, pd.DataFrame):
         corrected: pd.DataFrame = table.to_pandas()
         corrected.index = observations.index
-        corrected.attrs |= facts
+        corrected.attrs |= records
         return corrected
-    texts = {f"unbend.{name}": json.dumps(value) for name, value in facts.items()}
+    texts = {f"unbend.{name}": json.dumps(value) for name, value in records.items()}
     return table.replace_schema_metadata(table.schema.metadata | texts)
 
 
 def corrected_table(prepared: PreparedMission) -> tuple[pa.Table, ResultsRecord]:
-    """Correct all observations in memory: their table, and the record of the results."""
+    """Correct all observations of a mission in memory; returns their table and its record."""
     tables: list[pa.Table] = []
 
     def correct_all(setup: CorrectionSetup) -> Statistics:
@@ -199,7 +202,10 @@ def corrected_table(prepared: PreparedMission) -> tuple[pa.Table, ResultsRecord]
 
 
 def _atmosphere(profile: Air) -> Mapping[str, Any]:
-    """The section ``atmosphere`` of the mission; without effect for a profile that is a value."""
+    """The section ``atmosphere`` of the mission for the argument ``profile`` of `correct`.
+
+    For a profile that is a value the section has no effect: the value replaces the air later.
+    """
     if isinstance(profile, str):
         return {"adjust": False, "standard": profile}
     if isinstance(profile, Mapping):
@@ -208,7 +214,7 @@ def _atmosphere(profile: Air) -> Mapping[str, Any]:
 
 
 def _arrow_table(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
-    """A table as a table of Arrow; ``name`` is what a TypeError calls it."""
+    """A table as an Arrow table; a TypeError for anything else calls it ``name``."""
     if isinstance(table, pd.DataFrame):
         return pa.Table.from_pandas(table, preserve_index=False)
     if not isinstance(table, pa.Table):
@@ -217,11 +223,11 @@ def _arrow_table(table: pd.DataFrame | pa.Table, name: str) -> pa.Table:
     return table
 
 
-def _check_order(measured: pa.Table, placed: pa.Table) -> None:
-    """Refuse (TypeError) a table of stations that is given first, and observations second."""
-    of_pixels = {"x_px", "y_px"}
-    has_pixels = of_pixels <= {*placed.column_names}
-    if has_pixels and of_pixels.isdisjoint(measured.column_names):
+def _check_order(observations: pa.Table, stations: pa.Table) -> None:
+    """Refuse (TypeError) two tables that seem exchanged: the second has the pixels."""
+    pixel_columns = {"x_px", "y_px"}
+    stations_have_pixels = pixel_columns <= {*stations.column_names}
+    if stations_have_pixels and pixel_columns.isdisjoint(observations.column_names):
         raise TypeError(
             "stations has the columns x_px and y_px, and observations does not: the two tables "
             "seem exchanged; the order is correct(observations, stations, ...)"
@@ -238,19 +244,20 @@ def _check_camera_names(cameras: object) -> None:
         )
 
 
-def apart_from_known_positions(
+def split_known_positions(
     orientation: Mapping[str, Any],
 ) -> tuple[Mapping[str, Any], pd.DataFrame | None]:
-    """The keys of an orientation, and its known positions where they are a table in memory.
+    """Split a table in memory off the key ``known_positions`` of an orientation.
 
-    The columns of the table are named by quantities. In the keys a name of a file stands for it.
+    Returns the keys of the orientation, with the name of a file in the place of the table, and the
+    table, its columns named by quantities; None if the key has no table.
     """
-    given = orientation.get("known_positions")
-    if not isinstance(given, pd.DataFrame | pa.Table):
+    stated = orientation.get("known_positions")
+    if not isinstance(stated, pd.DataFrame | pa.Table):
         return orientation, None
-    table = _arrow_table(given, "known_positions").to_pandas()
-    known = table.rename(columns=_QUANTITY_OF_COLUMN)
-    return {**orientation, "known_positions": {"path": "known_positions"}}, known
+    table = _arrow_table(stated, "known_positions").to_pandas()
+    known_positions = table.rename(columns=_QUANTITY_OF_COLUMN)
+    return {**orientation, "known_positions": {"path": "known_positions"}}, known_positions
 
 
 def mission_of_tables(
@@ -258,11 +265,11 @@ def mission_of_tables(
 ) -> Mission:
     """The mission of tables in memory.
 
-    ``frame`` is the table of stations, its columns named by quantities; ``orientation`` and
-    ``sections`` are what the caller states beside it.
+    ``frame`` is the table of stations, its columns named by quantities. ``orientation`` and
+    ``sections`` are what the caller states in addition.
     """
     filled = [str(name) for name in frame if frame[name].notna().any()]
-    given = {
+    all_sections = {
         **sections,
         "ground": ground_section(sections.get("ground", {})),
         "mission": {"name": "tables", **sections.get("mission", {})},
@@ -270,9 +277,10 @@ def mission_of_tables(
         "stations": {"orientation": orientation_section(filled, orientation)},
         "output": {"path": "results"},
     }
-    if "profile_id" in filled:  # the cabin's air of a run's stations may be that of a log
-        given["log"] = {"path": "-"}
-    return mission_of(json.loads(json.dumps(given, default=_plain_value)), None, "sections")
+    if "profile_id" in filled:  # stations of a run: its cabin's air may come from a log
+        all_sections["log"] = {"path": "-"}
+    plain_sections = json.loads(json.dumps(all_sections, default=_plain_value))
+    return mission_of(plain_sections, None, "sections")
 
 
 def ground_section(stated: object) -> object:
@@ -283,10 +291,10 @@ def ground_section(stated: object) -> object:
 
 
 def ground_defaults(stated: Mapping[str, object]) -> dict[str, object]:
-    """The keys of the section ``ground`` that defaults give, since they are not ``stated``.
+    """The keys of the section ``ground`` that get a default, because they are not ``stated``.
 
     The reference of another column, of an elevation model or of a table of points has no default:
-    such heights are as often above the ellipsoid, some 50 m from mean sea level.
+    such heights are often above the ellipsoid, some 50 m from mean sea level.
     """
     defaults: dict[str, object] = {}
     height = stated.get("height", _DEFAULT_GROUND_HEIGHT)
@@ -304,7 +312,7 @@ def messages_of_tables(
     orientation: Mapping[str, Any],
     sections: Mapping[str, Any],
 ) -> Iterator[Message]:
-    """Messages about tables in memory: what was decided without being stated, or not used.
+    """Messages about tables in memory: what a default decided, and what is not used.
 
     ``mission`` was made of these tables; it has no orientation where the stations are those of a
     run. ``frame`` is the table of stations, its columns named by quantities; ``orientation`` and
@@ -336,7 +344,7 @@ def messages_of_tables(
 
 
 def warning_of_unused(alternatives: Sequence[str], used: Set[str]) -> Iterator[Message]:
-    """A warning if a table has several columns that say the same, and uses only some of them."""
+    """A warning if a table has alternative columns, and only some of them are ``used``."""
     chosen = [name for name in alternatives if name in used]
     unused = [name for name in alternatives if name not in used]
     if not chosen or not unused:
@@ -350,7 +358,10 @@ def warning_of_unused(alternatives: Sequence[str], used: Set[str]) -> Iterator[M
 
 
 def report_given_air(profile: Air, ledger: Ledger) -> None:
-    """Note the air that the caller gave, in the place of words about a mission file."""
+    """Note in the ledger which air the caller gave, unless it is a section ``atmosphere``.
+
+    The note replaces the message that the air is not adjusted.
+    """
     if isinstance(profile, Mapping):
         return
     ledger.remove(lambda message: message.code == messages.AIR_NOT_ADJUSTED.name)
@@ -359,11 +370,11 @@ def report_given_air(profile: Air, ledger: Ledger) -> None:
 
 
 def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dict[str, Any]:
-    """The section ``stations.orientation`` by the names of the ``filled`` columns of stations.
+    """The section ``stations.orientation`` for a table with these ``filled`` columns.
 
-    What the caller has ``stated`` goes before what the names say: a stated column of heights is
-    used alone, and of several columns that with the stated reference. A stated date is used in the
-    place of times. Refuses (ConfigError TABLES-FRAME) x and y in no stated frame.
+    The names of the columns decide what the caller has not ``stated``. A stated column of heights
+    is used alone; without one, the column of heights with the stated reference. A stated date is
+    used instead of times. Refuses (ConfigError TABLES-FRAME) x and y without a stated frame.
     """
     refuse_unknown_frame(filled, stated)
     columns = {name: name for name in _OPTIONAL_COLUMNS if name in filled}
@@ -392,7 +403,7 @@ def orientation_section(filled: Sequence[str], stated: Mapping[str, Any]) -> dic
 
 
 def refuse_unknown_frame(filled: Sequence[str], stated: Mapping[str, Any]) -> None:
-    """Refuse (ConfigError TABLES-FRAME) stations in x and y alone, where no frame is stated."""
+    """Refuse (ConfigError TABLES-FRAME) places in x and y alone, if no frame is stated."""
     has_map_places = "x" in filled and "y" in filled
     if has_map_places and "latitude" not in filled and "frame" not in stated:
         raise messages.frame_of_tables_missing(where="orientation")
@@ -401,10 +412,10 @@ def refuse_unknown_frame(filled: Sequence[str], stated: Mapping[str, Any]) -> No
 def add_height_column(
     columns: dict[str, str], key: str, filled: Sequence[str], stated_reference: str | None
 ) -> dict[str, str]:
-    """Put the first of the ``filled`` columns of heights under a key of ``columns``.
+    """Change ``columns``: put the first filled column of heights under ``key``.
 
-    Only one of the stated reference, where one is stated. Returns the key ``heights`` of the
-    section, its reference; nothing without such a column.
+    If a reference is stated, only a column with this reference counts. Returns the key ``heights``
+    of the section, the reference of the column; an empty mapping without a column.
     """
     for name, reference in _REFERENCE_OF_HEIGHT.items():
         if name in filled and stated_reference in (None, reference):
@@ -422,49 +433,50 @@ def _plain_value(value: object) -> object:
 
 def inputs_of_tables(
     mission: Mission,
-    measured: pa.Table,
-    frame: pd.DataFrame,
+    observation_table: pa.Table,
+    station_frame: pd.DataFrame,
     ledger: Ledger,
     *,
-    known: pd.DataFrame | None = None,
+    known_positions: pd.DataFrame | None = None,
 ) -> tuple[Mission, OpenedInputs]:
     """The opened inputs of a mission: tables in memory, and the files that it names.
 
-    ``known`` is the table of known positions, if it is not in a file. The mission comes back with
-    what the files of its cameras say.
+    ``known_positions`` is None if they are in a file, or if there are none. The returned mission
+    has the values of its camera files filled in.
     """
-    in_memory = set() if known is None else {KNOWN_POSITIONS}
+    in_memory = set() if known_positions is None else {KNOWN_POSITIONS}
     mission, paths = paths_beside_tables(mission, Path.cwd(), in_memory=in_memory)
-    observations = open_table(mission, Path(mission.observations.path), ledger, table=measured)
+    path = Path(mission.observations.path)
+    observations = open_table(mission, path, ledger, table=observation_table)
     inputs = open_inputs(mission, paths, observations, None, ledger)
     section = mission.stations.orientation
     if section is None:
         return mission, inputs
-    table = orientation_of_frame(frame, section.path, stated_orientation(section), ledger)
+    table = orientation_of_frame(station_frame, section.path, stated_orientation(section), ledger)
     inputs = replace(
         inputs,
         orientation=table,
-        block_places=(*inputs.block_places, *places_beside(frame, section)),
+        block_places=(*inputs.block_places, *places_beside(station_frame, section)),
     )
-    if known is not None and isinstance(section.known_positions, KnownPositions):
+    if known_positions is not None and isinstance(section.known_positions, KnownPositions):
         columns = columns_of_positions(section.known_positions)
-        read = known_positions_of_frame(known, section.known_positions.path, columns)
-        inputs = replace(inputs, known_positions=KnownImagePositions(*read))
+        positions = known_positions_of_frame(known_positions, section.known_positions.path, columns)
+        inputs = replace(inputs, known_positions=KnownImagePositions(*positions))
     return mission, inputs
 
 
 def correct_one_image() -> None:
-    """Correct one image of few points, which compiles what missions call.
+    """Correct one made-up image, so that numba compiles the code that most missions call.
 
-    A camera with a Brown-Conrady lens over ground at one height; other models of lenses, and
-    elevation models, are compiled by the first mission that has one.
+    Its camera has a Brown-Conrady lens and its ground one height. The code of other lens models and
+    of elevation models is compiled by the first mission that needs it.
     """
     rows = 100
-    x = np.linspace(1.0, 999.0, rows)
-    name = np.full(rows, "image")
+    pixels = np.linspace(1.0, 999.0, rows)
+    images = np.full(rows, "image")
     points = [f"point {number}" for number in range(rows)]
     observations = pd.DataFrame(
-        {"image": name, "point": points, "x_px": x, "y_px": x, "h_g_m": 0.0}
+        {"image": images, "point": points, "x_px": pixels, "y_px": pixels, "h_g_m": 0.0}
     )
     place = {"latitude": 47.0, "longitude": 8.0, "h_msl_m": 3000.0}
     attitude = {"omega": 0.0, "phi": 0.0, "kappa": 0.0}

@@ -45,11 +45,11 @@ class MessageRecord:
 
 @dataclass(frozen=True)
 class Message:
-    """One thing to say about a mission.
+    """One message about a mission.
 
     ``code`` is stable (``BARO-RANGE``); ``where`` a channel, file and byte offset, or column;
     ``count`` how many messages, bytes, samples or rows it is about; ``values`` what else its text
-    names. ``text`` holds ``{count}``, ``{where}`` and the names of values in braces. ``accepted``
+    names. ``text`` contains ``{count}``, ``{where}`` and names of values in braces. ``accepted``
     is the reason for which the mission file accepts it.
     """
 
@@ -77,7 +77,7 @@ class Message:
             what=self.what,
             where=self.where,
             count=self.count,
-            values={name: _known(value) for name, value in self.values.items()},
+            values={name: _finite(value) for name, value in self.values.items()},
         )
 
     def row(self) -> dict[str, object]:
@@ -85,15 +85,15 @@ class Message:
         return asdict(self.record())
 
 
-def _known(value: Value) -> Value | None:
-    """A value for the manifest; None for an infinite or unknown number."""
+def _finite(value: Value) -> Value | None:
+    """A value for the manifest, None for an infinite number and for NaN."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 
 
 Notes = tuple[Message, ...]
-"""What a function of a pure package has to report, beside its result."""
+"""Messages that a function returns with its result, because it has no ledger."""
 
 
 def message(
@@ -132,13 +132,13 @@ Result = TypeVar("Result")
 
 
 def _identity(message: Message) -> tuple[object, ...]:
-    """What two messages share that say the same; it can be looked up in a set."""
+    """A key for sets that two messages have in common if they are the same message."""
     values = tuple(sorted(message.values.items()))
     return message.kind, message.code, message.text, message.where, message.count, values
 
 
 class Ledger:
-    """All messages of a mission, each once, in the order of their coming.
+    """All messages of a mission, each once, in the order in which they are added.
 
     >>> no_barometer = Code("AIR-NO-BAROMETER", means="...", effect="...", remedy="...")
     >>> ledger = Ledger()
@@ -149,7 +149,7 @@ class Ledger:
 
     def __init__(self, messages: Iterable[Message] = ()) -> None:
         self._messages: list[Message] = list(messages)
-        self._known = {_identity(message) for message in self._messages}
+        self._identities = {_identity(message) for message in self._messages}
 
     def __iter__(self) -> Iterator[Message]:
         return iter(self._messages)
@@ -163,19 +163,19 @@ class Ledger:
         return any(message.kind in LOSSES for message in self._messages)
 
     def add(self, message: Message) -> None:
-        """Append a message, unless the same stands there."""
+        """Append a message, unless the ledger has the same message already."""
         identity = _identity(message)
-        if identity not in self._known:
-            self._known.add(identity)
+        if identity not in self._identities:
+            self._identities.add(identity)
             self._messages.append(message)
 
     def extend(self, messages: Iterable[Message]) -> None:
-        """Append several messages."""
+        """Append several messages, each unless the ledger has it already."""
         for message in messages:
             self.add(message)
 
     def take(self, outcome: tuple[Result, Notes]) -> Result:
-        """The result of a function that returns notes beside it; the notes are added.
+        """Add the notes of an outcome (result, notes) to the ledger, and return the result.
 
         >>> lens = Code("LENS-IN-AIR", means="...", effect="...", remedy="...")
         >>> ledger = Ledger()
@@ -186,17 +186,17 @@ class Ledger:
         self.extend(notes)
         return result
 
-    def remove(self, which: Callable[[Message], bool]) -> Notes:
-        """Take messages out; returns those that were taken out."""
-        removed = tuple(message for message in self._messages if which(message))
-        self._messages = [message for message in self._messages if not which(message)]
-        self._known = {_identity(message) for message in self._messages}
+    def remove(self, is_removed: Callable[[Message], bool]) -> Notes:
+        """Remove the messages for which a function returns True; returns these messages."""
+        removed = tuple(message for message in self._messages if is_removed(message))
+        self._messages = [message for message in self._messages if not is_removed(message)]
+        self._identities = {_identity(message) for message in self._messages}
         return removed
 
     def accept(self, reasons: Mapping[str, str]) -> tuple[str, ...]:
-        """Make warnings of the findings of some codes; returns the codes that no finding has.
+        """Turn findings into warnings; returns the codes of ``reasons`` that no finding has.
 
-        ``reasons`` by code: why the mission file accepts it.
+        ``reasons`` : why the mission file accepts a finding, by the code of the finding.
 
         >>> ground = Code("PLAUSIBLE-GROUND", means="...", effect="...", remedy="...")
         >>> ledger = Ledger([finding(ground, "the ground is 400 m off")])
@@ -204,17 +204,17 @@ class Ledger:
         ((), False)
         """
         unused = set(reasons)
-        for i, message in enumerate(self._messages):
+        for row, message in enumerate(self._messages):
             if message.kind is Kind.FINDING and message.code in reasons:
-                self._messages[i] = replace(
+                self._messages[row] = replace(
                     message, kind=Kind.WARNING, accepted=reasons[message.code]
                 )
                 unused.discard(message.code)
-        self._known = {_identity(message) for message in self._messages}
+        self._identities = {_identity(message) for message in self._messages}
         return tuple(sorted(unused))
 
     def sorted(self) -> list[Message]:
-        """The messages by kind, code and text, as the manifest has them."""
+        """The messages by kind, code, text, place and count, as the manifest has them."""
 
         def order(message: Message) -> tuple[str, str, str, str, int]:
             return message.kind, message.code, message.what, message.where, message.count

@@ -19,7 +19,7 @@ HEIGHT_OF_AXES = 4.0  # [inch]
 
 
 def html_table(title: str, columns: Mapping[str, Any]) -> str:
-    """A title and a table as HTML, of which pandas shows the first and the last rows."""
+    """A title and a table as HTML; of a long table the first and the last five rows are shown."""
     import pandas as pd
 
     table = pd.DataFrame(dict(columns))
@@ -27,9 +27,9 @@ def html_table(title: str, columns: Mapping[str, Any]) -> str:
 
 
 def new_axes(count: int) -> list[Axes]:
-    """Axes side by side, in a figure that a notebook shows; refuses (PLOT-MATPLOTLIB) without it.
+    """``count`` axes side by side in a new figure, with a common vertical axis.
 
-    They share the vertical axis.
+    Refuses (PLOT-MATPLOTLIB) if matplotlib is not installed.
     """
     try:
         from matplotlib.pyplot import subplots

@@ -1,9 +1,9 @@
-"""How a table is written: what parts its fields, its head, its decimals. One door for all tables.
+"""How a table of text is written: its separator, its head, its decimals. Used for all tables.
 
-The fields of a row are parted by commas, semicolons, tabs, bars or any number of blanks. The names
-of the columns stand in the first line, or in the last of the comments before it, which begin with
-``#`` or ``%``; the columns of a table without names are called 1, 2, 3 and so on. A table of
-OpenDroneMap's (``geo.txt``) begins with its coordinate system, and has the names of its manual.
+The fields of a row are separated by commas, semicolons, tabs, bars or any number of blanks. The
+names of the columns are in the first line, or in the last comment before it (``#`` or ``%``); the
+columns of a table without names are called 1, 2, 3 and so on. A table of OpenDroneMap
+(``geo.txt``) begins with its coordinate system, and has the names of its manual.
 """
 
 import csv
@@ -24,7 +24,7 @@ WORDS_OF_SEPARATORS = {
 }
 MOST_ROWS = 200  # that show how a table is written
 
-_UNDIVIDED = (0, 1)  # numeric columns and columns of a table that no separator divides
+_UNDIVIDED = (0, 1)  # score, as in `_separator_of`, of a table that no separator divides
 
 _FIELD_BETWEEN_BLANKS = re.compile(r'"(?:[^"]|"")*"|[^\s"]\S*')
 _SEPARATOR_OF_SPREADSHEET = re.compile(r"\"?sep=(.)\"?\s*", re.IGNORECASE)
@@ -40,9 +40,9 @@ class TableForm:
     """How the lines of a table are written.
 
     separator : one of `SEPARATORS`.
-    names : of the columns, as they stand there, or as they are called where none stands there.
+    names : of the columns, as in the head; 1, 2, 3 and so on for a table without a head.
     lines_before : lines before the first row, or before the head where it is the first row.
-    head_is_row : the names are the first row, and not a comment or absent.
+    head_is_row : the names are in the first row; False for names in a comment, and without a head.
     decimal_comma : numbers have a decimal comma, and none has a decimal point.
     """
 
@@ -55,11 +55,12 @@ class TableForm:
     @property
     def line_of_first_row(self) -> int:
         """The number of the line of the first row, counted from 1."""
-        return self.lines_before + self.head_is_row + 1
+        lines_of_head = 1 if self.head_is_row else 0
+        return self.lines_before + lines_of_head + 1
 
 
 def columns_in_words(names: Sequence[str]) -> str:
-    """The names of columns, or that a table has no head.
+    """The names of columns for a message; or, for names 1, 2, 3, that the table has no head.
 
     >>> columns_in_words(["image", "x"]), columns_in_words(["1", "2"])
     ('image, x', 'no header: its columns are named 1 to 2')
@@ -72,7 +73,7 @@ def columns_in_words(names: Sequence[str]) -> str:
 def split_rows(lines: Iterable[str], separator: str) -> list[list[str]]:
     """The fields of lines that are not empty, without quotes and blanks around them.
 
-    Raises ValueError for what no table of text has.
+    Raises ValueError for lines that cannot be a table of text, with a zero byte for example.
 
     >>> split_rows(['a;"b;c"', "", " 1 ;2"], ";")
     [['a', 'b;c'], ['1', '2']]
@@ -92,35 +93,42 @@ def split_rows(lines: Iterable[str], separator: str) -> list[list[str]]:
 
 
 def form_of(lines: Sequence[str]) -> TableForm:
-    """How a table is written, by its first lines; raises ValueError where they do not show it.
+    """How a table is written, decided from its first lines.
+
+    Raises ValueError for an empty table, and for lines that leave the form open: rows that are
+    longer than the first one, and numbers with a comma or point that may group thousands.
 
     >>> form = form_of(["# Cameras (1)", "# PhotoID, X, Y", "IMG_1.JPG\\t1,5\\t-2,5"])
     >>> form.separator, form.names, form.lines_before, form.decimal_comma
     ('\\t', ('PhotoID', 'X', 'Y'), 2, True)
     """
-    before = _lines_before_rows(lines)
-    body = [line for line in lines[before : before + MOST_ROWS] if line.strip()]
+    line_count = _count_lines_before(lines)
+    lines_before = lines[:line_count]
+    body = [line for line in lines[line_count : line_count + MOST_ROWS] if line.strip()]
     if not body:
         body = [_last_comment(lines)]  # a head without rows
-    separator = _separator_of(lines[:before], body)
+    separator = _separator_of(lines_before, body)
     rows = split_rows(body, separator)
-    names_before = _names_before_rows(lines[:before], len(rows[0]))
-    names = tuple(rows[0])
+    names_before = _names_before_rows(lines_before, len(rows[0]))
     first_is_head = _is_head(rows, has_names_before=bool(names_before))
-    if not first_is_head:
-        names = names_before or tuple(str(number) for number in range(1, len(names) + 1))
-    _refuse_grouped_thousands(rows[first_is_head:])
+    if first_is_head:
+        names = tuple(rows[0])
+        value_rows = rows[1:]
+    else:
+        names = names_before or tuple(str(number) for number in range(1, len(rows[0]) + 1))
+        value_rows = rows
+    _refuse_grouped_thousands(value_rows)
     return TableForm(
         separator=separator,
         names=names,
-        lines_before=before,
+        lines_before=line_count,
         head_is_row=first_is_head,
-        decimal_comma=_has_decimal_commas(rows[first_is_head:], separator),
+        decimal_comma=_has_decimal_commas(value_rows, separator),
     )
 
 
 def _last_comment(lines: Sequence[str]) -> str:
-    """The text of the last comment; raises ValueError for an empty table."""
+    """The text of the last comment; raises ValueError for a table without a comment."""
     for line in reversed(lines):
         if _is_comment(line):
             return line.strip().lstrip("#% ")
@@ -131,8 +139,11 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "%"))
 
 
-def _lines_before_rows(lines: Sequence[str]) -> int:
-    """How many lines stand before head and rows: comments, empty ones, those of a program."""
+def _count_lines_before(lines: Sequence[str]) -> int:
+    """How many lines are before the first row (head or values).
+
+    These are comments, empty lines, ``sep=;`` of a spreadsheet, and a coordinate system.
+    """
     for number, line in enumerate(lines):
         of_program = _SEPARATOR_OF_SPREADSHEET.fullmatch(line) or _COORDINATE_SYSTEM.fullmatch(line)
         if line.strip() and not _is_comment(line) and not of_program:
@@ -140,18 +151,19 @@ def _lines_before_rows(lines: Sequence[str]) -> int:
     return len(lines)
 
 
-def _separator_of(before: Sequence[str], body: Sequence[str]) -> str:
+def _separator_of(lines_before: Sequence[str], body: Sequence[str]) -> str:
     """The separator that gives most numeric columns, then most columns; a comma without any.
 
-    No row may be longer than the first; with blanks none shorter. A separator that a spreadsheet
-    states is taken as it is. ValueError if only separators with a longer row were found.
+    ``body`` are the lines of head and values. A separator is out if a row has more fields than the
+    first one, and blanks also if one has fewer. Raises ValueError if rows are too long and no other
+    separator divides the rows. A separator that a spreadsheet states is taken as it is.
     """
-    stated_separator = _stated_separator(before)
+    stated_separator = _stated_separator(lines_before)
     if stated_separator:
         return stated_separator
     best = ","
     best_score = _UNDIVIDED
-    longer = ""
+    problem = ""
     for separator in SEPARATORS:
         rows = split_rows(body, separator)
         widths = [len(row) for row in rows]
@@ -161,18 +173,18 @@ def _separator_of(before: Sequence[str], body: Sequence[str]) -> str:
         score = (len(_numeric_columns(rows[1:] or rows)), width)
         if max(widths) > width:
             words = WORDS_OF_SEPARATORS[separator]
-            longer = f"by {words} its first row has {width} fields, and a later one {max(widths)}"
+            problem = f"by {words} its first row has {width} fields, and a later one {max(widths)}"
         elif score > best_score:
             best = separator
             best_score = score
-    if longer and best_score == _UNDIVIDED:
-        raise ValueError(longer)
+    if problem and best_score == _UNDIVIDED:
+        raise ValueError(problem)
     return best
 
 
-def _stated_separator(before: Sequence[str]) -> str:
-    """What a line ``sep=;`` of a spreadsheet says; empty without one."""
-    for line in before:
+def _stated_separator(lines_before: Sequence[str]) -> str:
+    """The separator that a spreadsheet states in a line ``sep=;``; empty without such a line."""
+    for line in lines_before:
         stated = _SEPARATOR_OF_SPREADSHEET.fullmatch(line)
         if stated is not None and stated[1] in SEPARATORS:
             return stated[1]
@@ -180,16 +192,24 @@ def _stated_separator(before: Sequence[str]) -> str:
 
 
 def _is_head(rows: Sequence[Sequence[str]], *, has_names_before: bool) -> bool:
-    """Whether the first row names columns: it has text where the others have numbers."""
+    """Whether the first row names the columns.
+
+    It does if a column that has numbers in the other rows has a text in the first, or if no column
+    has numbers. A single row is a head, unless it has numbers and comments before it have names.
+    """
     first = rows[0]
     if len(rows) == 1:
-        return not (has_names_before and any(map(is_number, first)))
-    numeric = _numeric_columns(rows[1:])
-    return not numeric or any(k >= len(first) or not is_number(first[k]) for k in numeric)
+        has_numbers = any(map(is_number, first))
+        return not (has_names_before and has_numbers)
+    numeric_columns = _numeric_columns(rows[1:])
+    if not numeric_columns:
+        return True
+    fields = [first[column] for column in numeric_columns if column < len(first)]
+    return len(fields) < len(numeric_columns) or not all(map(is_number, fields))
 
 
 def _numeric_columns(rows: Sequence[Sequence[str]]) -> list[int]:
-    """The columns that hold numbers and nothing else, at least one."""
+    """The columns, from 0, that have numbers and no text; empty fields do not count."""
     numeric = []
     for column in range(max(map(len, rows), default=0)):
         filled = _filled_fields(rows, column)
@@ -198,12 +218,13 @@ def _numeric_columns(rows: Sequence[Sequence[str]]) -> list[int]:
     return numeric
 
 
-def _names_before_rows(before: Sequence[str], width: int) -> tuple[str, ...]:
-    """The names of the columns in the lines before the rows; empty where there are none.
+def _names_before_rows(lines_before: Sequence[str], width: int) -> tuple[str, ...]:
+    """The names of ``width`` columns in the lines before the rows; empty without names.
 
-    They are in the last comment that has as many fields as the rows, by whatever parts them.
+    They are in the last comment that has as many fields, by any separator. A coordinate system of
+    OpenDroneMap stands for the names of its manual.
     """
-    for line in reversed(before):
+    for line in reversed(lines_before):
         if _COORDINATE_SYSTEM.fullmatch(line):
             names = _names_of_odm(line)
             return names[:width] if width <= len(names) else ()
@@ -222,7 +243,7 @@ def _names_of_odm(system: str) -> tuple[str, ...]:
 
 
 def _names_in_comment(line: str, width: int) -> tuple[str, ...]:
-    """The fields of a comment, by the separator by which there are so many; empty for none."""
+    """The ``width`` fields of a comment, by the first separator that gives so many; else empty."""
     text = line.strip().lstrip("#% ")
     if not text:
         return ()
@@ -240,7 +261,7 @@ def _filled_fields(rows: Sequence[Sequence[str]], column: int) -> list[str]:
 
 
 def _refuse_grouped_thousands(rows: Sequence[Sequence[str]]) -> None:
-    """Raise ValueError for a column of numbers of which some group their thousands."""
+    """Raise ValueError for a column of numbers if some of them have grouped thousands (8'927)."""
     width = max(map(len, rows), default=0)
     for column in range(width):
         filled = _filled_fields(rows, column)
@@ -255,8 +276,8 @@ def _refuse_grouped_thousands(rows: Sequence[Sequence[str]]) -> None:
 def _has_decimal_commas(rows: Sequence[Sequence[str]], separator: str) -> bool:
     """Whether numbers have a decimal comma, and none has a decimal point.
 
-    Raises ValueError where the commas of all of them may group thousands. Semicolons are those of
-    countries with a decimal comma.
+    Raises ValueError where the commas of all of them may group thousands; but not for a table with
+    semicolons, which spreadsheets write in countries with a decimal comma.
     """
     fields = [row[column] for column in _numeric_columns(rows) for row in rows if column < len(row)]
     with_comma = [field for field in fields if "," in field]
@@ -270,9 +291,10 @@ def _has_decimal_commas(rows: Sequence[Sequence[str]], separator: str) -> bool:
 
 
 def with_decimal_points(fields: Sequence[str], *, decimal_comma: bool) -> Sequence[str]:
-    """The fields of a column with decimal points, if all of them are numbers, some with commas.
+    """The fields of a column with points instead of decimal commas.
 
-    Commas that may group thousands are left, unless the table has a ``decimal_comma`` elsewhere.
+    The fields stay as they are if one of them is a text or has a point, or if all commas may group
+    thousands. The last rule is left out if the table is known to have a ``decimal_comma``.
 
     >>> with_decimal_points(["3000,3", "", "12"], decimal_comma=False)
     ['3000.3', '', '12']

@@ -44,7 +44,7 @@ UNIX_NS_OF_GPS_EPOCH = 315_964_800 * NANOSECONDS_PER_SECOND  # 1980-01-06T00:00:
 
 
 def round_step(least: float) -> float:
-    """The smallest of 1, 2, 5 times a power of ten that is not below ``least`` (positive).
+    """The smallest number of the form 1, 2 or 5 times 10**k that is not below ``least`` (> 0).
 
     >>> [round_step(x) for x in (0.03, 1.0, 2.1, 70.0)]
     [0.05, 1.0, 5.0, 100.0]
@@ -55,9 +55,10 @@ def round_step(least: float) -> float:
 
 
 def whole_numbers(values: NDArray[Any], lowest: int, highest: int) -> Integers:
-    """Numbers of any type as int64 without their fractions, cut at two limits; NaN is the lowest.
+    """Numbers of any type as int64: fractions cut off, limited to a range; NaN becomes ``lowest``.
 
-    The limits are at most 2**62 from 0: numpy converts what 64 bits do not hold into any number.
+    The limits must be within 2**62 of 0. Numbers are limited before they are converted: numpy turns
+    a number that does not fit into 64 bits into any other.
 
     >>> whole_numbers(np.array([np.nan, -1e300, 7.9, np.inf]), 0, 9).tolist()
     [0, 0, 7, 9]
@@ -66,23 +67,24 @@ def whole_numbers(values: NDArray[Any], lowest: int, highest: int) -> Integers:
     """
     kind = values.dtype.kind
     if kind == "u":
-        below = np.minimum(values, np.uint64(highest))
-        whole = below.astype(np.int64)
+        limited = np.minimum(values, np.uint64(highest))
+        whole = limited.astype(np.int64)
     elif kind in "bi":
         whole = values.astype(np.int64)
     else:
         with np.errstate(invalid="ignore"):  # signalling NaNs
             numbers = np.asarray(values, np.float64)
         filled = np.where(np.isnan(numbers), lowest, numbers)
-        within = filled.clip(lowest, highest)
-        whole = within.astype(np.int64)
+        limited = filled.clip(lowest, highest)
+        whole = limited.astype(np.int64)
     return np.asarray(whole.clip(lowest, highest))
 
 
 def measured(values: Array, largest: float = LARGEST_NUMBER) -> Array:
-    """Numbers as they are, NaN where one is infinite or larger than anything that is measured.
+    """A copy of numbers with NaN in place of those beyond +-``largest``, and of infinite ones.
 
-    What is larger overflows where it is squared, or stands for a value that was not known.
+    Nothing that is measured is as large: such numbers stand for unknown values, and their squares
+    may overflow.
 
     >>> measured(np.array([1.5, np.inf, -1e308])).tolist()
     [1.5, nan, nan]
@@ -92,7 +94,7 @@ def measured(values: Array, largest: float = LARGEST_NUMBER) -> Array:
 
 
 def exact_integers(values: Array) -> Integers:
-    """Whole numbers as int64; raises ValueError where one has a fraction, or is beyond 2**53.
+    """Whole numbers as int64; raises ValueError for a fraction and for a number beyond +-2**53.
 
     >>> exact_integers(np.array([7.0, -1.0])).tolist()
     [7, -1]
@@ -106,11 +108,11 @@ def exact_integers(values: Array) -> Integers:
 
 
 def evenly_spaced(count: int, most: int) -> Integers:
-    """At most ``most`` numbers below ``count``, evenly spaced, first and last among them.
+    """At most ``most`` row numbers of ``count`` rows, evenly spaced, with the first and the last.
 
     >>> evenly_spaced(9, 3).tolist(), evenly_spaced(2, 3).tolist(), evenly_spaced(0, 3).tolist()
     ([0, 4, 8], [0, 1], [])
     """
     last = max(count - 1, 0)
-    evenly = np.linspace(0, last, min(count, most))
-    return np.unique(evenly.round().astype(np.int64))
+    places = np.linspace(0, last, min(count, most))
+    return np.unique(places.round().astype(np.int64))

@@ -1,8 +1,8 @@
 """Numbers and angles as people, spreadsheets and tag readers write them: one reader for all.
 
 A number has a decimal point, or a decimal comma: ``-89.9``, ``-89,9``, ``2.3e-05``. An angle is a
-number of degrees, or degrees, minutes and seconds with marks between them. What is neither is a
-`ValueError` that says what is taken; nothing is read in part.
+number of degrees, or degrees, minutes and seconds with marks between them. Any other text is a
+`ValueError` with the accepted forms; no text is read in part.
 """
 
 import math
@@ -60,7 +60,7 @@ def is_number(text: str) -> bool:
 
 
 def may_be_thousands(text: str) -> bool:
-    """Whether the comma of a text may group thousands.
+    """Whether the commas of a text may group thousands, as in 1,234.
 
     >>> [may_be_thousands(text) for text in ("1,234", "1234,567", "0,123", "12,5")]
     [True, False, False, False]
@@ -78,7 +78,7 @@ def has_grouped_thousands(text: str) -> bool:
 
 
 def number_of(text: str) -> float:
-    """The number that a text is, a fraction of two included; NaN for what says that it is unknown.
+    """The number that a text states, also as a fraction; NaN for a word for unknown, as n/a.
 
     Raises ValueError for any other text, and for 1,234, which may be 1.234 or 1234.
 
@@ -93,8 +93,8 @@ def number_of(text: str) -> float:
         raise ValueError(f"{text!r} may be thousands or a decimal comma; write a decimal point")
     fraction = _FRACTION.fullmatch(plain)
     if fraction is not None:
-        below = _value(fraction["below"])
-        quotient = _value(fraction["above"]) / below if below else math.nan
+        divisor = _value(fraction["below"])
+        quotient = _value(fraction["above"]) / divisor if divisor else math.nan
         if math.isinf(quotient):
             raise ValueError(f"{text!r} is not {NUMBERS_TAKEN}")
         return quotient
@@ -104,7 +104,9 @@ def number_of(text: str) -> float:
 
 
 def height_of(text: str) -> float:
-    """A height as tags have it, a number that metres and a surface may follow; else ValueError.
+    """A height [m] from a tag: a number, perhaps with "m" and "above (below) sea level" behind.
+
+    NaN for a word for unknown; raises ValueError for any other text.
 
     >>> height_of("3000.3 m Above Sea Level"), height_of("12 m Below Sea Level"), height_of("+5,2")
     (3000.3, -12.0, 5.2)
@@ -117,11 +119,11 @@ def height_of(text: str) -> float:
 
 
 def angle_of(text: str, hemisphere: str = "", letters: str = "NSEW") -> float:
-    """An angle in degrees; NaN for what says that it is unknown, ValueError for any other text.
+    """An angle in degrees; NaN for a word for unknown, ValueError for any other text.
 
-    ``hemisphere`` is a letter or word stated elsewhere: S and W are negative. A sign, a letter of
-    the text and one stated elsewhere must agree; ``letters`` are those of the axis. Minutes and
-    seconds are below 60, and only the last part that is not zero has decimals.
+    ``hemisphere`` is a letter or word stated elsewhere: angles of S and W are negative. The sign,
+    the letter in the text and ``hemisphere`` must agree. ``letters`` are those that the axis has.
+    Minutes and seconds are at most 60, and only the last part that is not zero may have decimals.
 
     >>> round(angle_of("47 deg 18' 36.00\\" S"), 9), angle_of("[8, 30, 0]", "W"), angle_of("-89,9")
     (-47.31, -8.5, -89.9)
@@ -130,42 +132,59 @@ def angle_of(text: str, hemisphere: str = "", letters: str = "NSEW") -> float:
     """
     plain = text.strip()
     _refuse_long(plain)
-    of_its_own = ""
+    letter_in_text = ""
     written = _WITH_HEMISPHERE.fullmatch(plain) or _HEMISPHERE_FIRST.fullmatch(plain)
     if written is not None:
         plain = written["angle"]
-        of_its_own = written["hemisphere"][0].upper()
+        letter_in_text = written["hemisphere"][0].upper()
         if _DEGREES_OR_MINUTES.fullmatch(plain):
             raise ValueError(
                 f"{text!r} may be degrees or degrees and minutes; it is not {ANGLES_TAKEN}"
             )
-    degrees = _parted_angle(plain, with_letter=bool(of_its_own))
+    degrees = _parted_angle(plain, with_letter=bool(letter_in_text))
     if degrees is None:
         try:
             degrees = number_of(re.sub(r"\s*(?:deg(?:rees)?|°|º)$", "", plain))
         except ValueError:
             raise ValueError(f"{text!r} is not {ANGLES_TAKEN}") from None
-    return _signed(degrees, text, of_its_own, hemisphere.strip()[:1].upper(), letters)
+    stated_letter = hemisphere.strip()[:1].upper()
+    _check_letters(text, letter_in_text, stated_letter, letters)
+    return _signed(degrees, text, letter_in_text or stated_letter)
 
 
-def _signed(degrees: float, text: str, own: str, stated: str, letters: str) -> float:
-    """Degrees with the sign of their hemisphere; ValueError where text and letters disagree."""
-    if own and own not in letters:
+def _check_letters(text: str, letter_in_text: str, stated_letter: str, letters: str) -> None:
+    """Raise ValueError for a letter of the other axis, and for one that contradicts the stated.
+
+    A letter is empty if there is none.
+    """
+    if letter_in_text and letter_in_text not in letters:
         raise ValueError(f"{text!r} has a letter of the other axis")
-    if own and stated and stated in "NSEW" and own != stated:
-        raise ValueError(f"{text!r} is not in the hemisphere {stated}, which is stated for it")
-    hemisphere = own or stated
+    has_both = letter_in_text and stated_letter and stated_letter in "NSEW"
+    if has_both and letter_in_text != stated_letter:
+        raise ValueError(
+            f"{text!r} is not in the hemisphere {stated_letter}, which is stated for it"
+        )
+
+
+def _signed(degrees: float, text: str, hemisphere: str) -> float:
+    """Degrees of ``text`` with the sign of a hemisphere, a letter or empty.
+
+    Raises ValueError for negative degrees in the north or east.
+    """
     if hemisphere in ("N", "E") and degrees < 0.0:
         raise ValueError(f"{text!r} is negative, and stated as {hemisphere}")
     return -abs(degrees) if hemisphere in ("S", "W") else degrees
 
 
 def _parted_angle(text: str, *, with_letter: bool) -> float | None:
-    """Degrees of an angle in two or three parts; None where it is not written so.
+    """Degrees of an angle that is written in two or three parts; None for any other text.
 
-    XMP parts degrees and minutes by a comma, and ends with the letter of the hemisphere.
+    ``with_letter`` : the angle had a letter of its hemisphere. Only then a comma may separate
+    degrees and minutes, as in XMP.
     """
-    forms = [_LISTED, _RATIONALS, _SPACED, _MARKED, *([_OF_XMP] if with_letter else [])]
+    forms = [_LISTED, _RATIONALS, _SPACED, _MARKED]
+    if with_letter:
+        forms.append(_OF_XMP)
     for form in forms:
         parts = form.fullmatch(text)
         if parts is not None and parts["minutes"] is not None:
@@ -174,17 +193,24 @@ def _parted_angle(text: str, *, with_letter: bool) -> float | None:
 
 
 def _sum_of_parts(degrees: str, minutes: str, seconds: str | None) -> float:
-    """Degrees of degrees, minutes and seconds; the degrees carry the sign, -0 as well."""
-    sizes = [abs(number_of(degrees)), number_of(minutes), number_of(seconds or "0")]
-    if not all(map(math.isfinite, sizes)):  # 0/0
+    """Degrees of an angle in degrees, minutes and seconds; NaN if a part is 0/0.
+
+    The degrees have the sign of the angle, also if they are -0. Raises ValueError for minutes or
+    seconds outside 0 to 60, and for decimals of a part that is followed by another that is not 0.
+    """
+    degree_size = abs(number_of(degrees))
+    minute_size = number_of(minutes)
+    second_size = number_of(seconds or "0")
+    if not all(map(math.isfinite, (degree_size, minute_size, second_size))):
         return math.nan
-    has_seconds = seconds is not None and sizes[2] != 0.0
-    has_minutes = sizes[1] != 0.0 or has_seconds
-    has_decimals = has_minutes and sizes[0] % 1.0 != 0.0
-    has_decimals = has_decimals or (has_seconds and sizes[1] % 1.0 != 0.0)
-    if has_decimals or not 0.0 <= sizes[1] <= 60.0 or not 0.0 <= sizes[2] <= 60.0:
+    has_seconds = second_size != 0.0
+    has_minutes = minute_size != 0.0 or has_seconds
+    are_degrees_split = has_minutes and degree_size % 1.0 != 0.0
+    are_minutes_split = has_seconds and minute_size % 1.0 != 0.0
+    is_in_range = 0.0 <= minute_size <= 60.0 and 0.0 <= second_size <= 60.0
+    if are_degrees_split or are_minutes_split or not is_in_range:
         raise ValueError(f"{degrees} {minutes} {seconds or ''} is not {ANGLES_TAKEN}")
-    size = sizes[0] + sizes[1] / 60.0 + sizes[2] / 3600.0
+    size = degree_size + minute_size / 60.0 + second_size / 3600.0
     return math.copysign(size, -1.0 if degrees.startswith("-") else 1.0)
 
 
@@ -195,7 +221,7 @@ def _refuse_long(text: str) -> None:
 
 
 def _value(number: str) -> float:
-    """A number that matches `_NUMBER`; ValueError for one that no float64 holds, as 1e400."""
+    """The value of a text that matches `_NUMBER`; ValueError if it is too large, as 1e400."""
     value = float(number.replace(",", "."))
     if math.isinf(value):
         raise ValueError(f"{number!r} is not {NUMBERS_TAKEN}")

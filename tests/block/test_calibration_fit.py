@@ -10,13 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from unbend.block.calibration_fit import (
-    CORRECTIONS,
-    FEW,
-    FULL,
+    ALL_PARAMETERS,
+    CORRECTION_TERMS,
+    NADIR_PARAMETERS,
     CorrectionChange,
     SeenRays,
-    changed_camera,
     correction_change,
+    fitted_camera,
 )
 from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
@@ -98,14 +98,14 @@ def rms(values):
 
 def left_px(rays, camera):
     """What a camera leaves of rays."""
-    return rms(rays.left_px(camera))
+    return rms(rays.residual_px(camera))
 
 
 def test_straight_down_f_and_k1_grow_by_k():
     """Forward: r (1 + K (1 + r^2)); as a correction: c (1 + K) and -K r^3."""
     rays = seen(PLAIN, nadir)
 
-    camera = changed_camera(PLAIN, rays, FEW)
+    camera = fitted_camera(PLAIN, rays, NADIR_PARAMETERS)
     change, left = correction_change(PLAIN, rays, ("c", "k1"))
 
     assert camera.fx_px == pytest.approx(F * (1.0 + K), abs=1e-4 * F * K)
@@ -142,7 +142,7 @@ def test_a_camera_that_was_changed_by_hand_is_found(camera):
         ),
     )
     rays = seen(moved, not_at_all)
-    fitted = changed_camera(camera, rays, FULL)
+    fitted = fitted_camera(camera, rays, ALL_PARAMETERS)
     assert left_px(rays, fitted) < 1e-7
     assert fitted.cx_px == pytest.approx(moved.cx_px, abs=1e-4)
     assert fitted.fy_px == pytest.approx(moved.fy_px, rel=1e-8)
@@ -158,8 +158,8 @@ def test_a_head_that_looks_aside_takes_the_full_set(camera):
     before_px = left_px(rays, camera)
     assert before_px > 1.0  # f K at 45 degrees
 
-    full = changed_camera(camera, rays, FULL)
-    few = changed_camera(camera, rays, FEW)
+    full = fitted_camera(camera, rays, ALL_PARAMETERS)
+    few = fitted_camera(camera, rays, NADIR_PARAMETERS)
     _, left = correction_change(camera, rays)
 
     assert left_px(rays, full) < 0.03 * before_px
@@ -172,8 +172,8 @@ def test_a_head_that_looks_aside_takes_the_full_set(camera):
 def test_what_a_correction_adds_is_what_its_formula_says():
     """Measured points, corrected by the sum written out in millimetres, are the straight rays."""
     rays = seen(BROWN, oblique)
-    change, left = correction_change(BROWN, rays, CORRECTIONS)
-    for name in CORRECTIONS:
+    change, left = correction_change(BROWN, rays, CORRECTION_TERMS)
+    for name in CORRECTION_TERMS:
         assert getattr(change, name) != 0.0
     c = 92.0
     x_px, y_px = rays.measured_px.T
@@ -208,7 +208,7 @@ def test_rows_count_by_their_weights():
     is_spoilt = np.arange(len(rays.straight)) % 3 == 0
     measured_px = rays.measured_px + 5.0 * is_spoilt[:, None]
     weighted = SeenRays(rays.straight, measured_px, 1.0 - is_spoilt)
-    fitted = changed_camera(PLAIN, weighted, FEW)
+    fitted = fitted_camera(PLAIN, weighted, NADIR_PARAMETERS)
     assert fitted.fx_px == pytest.approx(F * (1.0 + K), abs=1e-4 * F * K)
     change, _ = correction_change(PLAIN, weighted, ("c", "k1"))
     assert change.c == pytest.approx(K, rel=1e-3)
@@ -216,10 +216,10 @@ def test_rows_count_by_their_weights():
 
 def test_no_change_is_none():
     rays = seen(BROWN, not_at_all)
-    same = changed_camera(BROWN, rays, FULL)
+    same = fitted_camera(BROWN, rays, ALL_PARAMETERS)
     assert left_px(rays, same) < 1e-9
     change, left = correction_change(BROWN, rays)
-    for name in CORRECTIONS:
+    for name in CORRECTION_TERMS:
         assert abs(getattr(change, name)) < 1e-10
     assert rms(left) < 1e-9
     assert CorrectionChange().radial(np.ones(1))[0] == 0.0

@@ -11,7 +11,7 @@ from tests.helpers import refused
 from unbend.batch.object_store import is_url
 from unbend.config import Mission
 from unbend.config.campaign import Campaign, MissionRef, open_configs
-from unbend.config.campaign_defaults import LEADING, WHOLE, merged
+from unbend.config.campaign_defaults import LEADING_KEYS, WHOLE_SECTIONS, merged
 from unbend.config.schema import alternatives, campaign_schema, mission_schema, nodes_at
 from unbend.errors import ConfigError, UnbendError
 
@@ -171,7 +171,7 @@ def test_values_that_belong_together_are_not_mixed(case):
 
 
 def test_what_is_taken_whole_are_keys_of_a_mission_file():
-    for pattern in (*WHOLE, *LEADING):
+    for pattern in (*WHOLE_SECTIONS, *LEADING_KEYS):
         section, _, name = pattern.partition(".*")
         names = {"log.channels": "pressure", "atmosphere.sensors": "gnss"}
         star = "." + names.get(section, "nadir") if name or "*" in pattern else ""
@@ -209,7 +209,7 @@ def test_sections_that_are_replaced_as_a_whole_are_those_of_which_there_are_seve
 
     walk(mission_schema(), "")
     assert places == ["ground.height"]
-    assert set(places) <= set(WHOLE)
+    assert set(places) <= set(WHOLE_SECTIONS)
 
 
 def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
@@ -237,8 +237,8 @@ def test_missions_are_files_patterns_and_sections(season, mission, tmp_path):
     ]
     assert refs[3].load().output.path == "out/inline"
     assert refs[3].label.endswith("season.yaml: inline")
-    assert refs[3].words == (str(file), "--mission", "inline")
-    assert refs[1].words == (str(file), "--mission", str(tmp_path / "a" / "m.yaml"))
+    assert refs[3].run_arguments == (str(file), "--mission", "inline")
+    assert refs[1].run_arguments == (str(file), "--mission", str(tmp_path / "a" / "m.yaml"))
 
 
 MISTAKES = yaml.safe_load("""

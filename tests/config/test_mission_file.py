@@ -631,7 +631,7 @@ def test_events_that_contradict_each_other(refusal, events, why):
 
 def test_the_image_of_the_first_event_may_be_stated_by_its_name(load):
     events = FULL["events"] | {"first_image": {"window": "w7.tif"}}
-    anchor = load(FULL | {"events": events}).events.anchor("window")
+    anchor = load(FULL | {"events": events}).events.stated_first_image("window")
     assert anchor.image == "w7.tif"
     assert anchor.event == 1
 
@@ -797,7 +797,7 @@ def test_a_channel_of_null_is_stated_and_one_without_its_key_is_not(load):
     content["log"]["channels"] = {"temperature": None, "pressure": "BARO[0]"}
     content["atmosphere"].pop("board_temperature", None)  # it needs a named thermometer
     channels = load(content).log.channels
-    assert channels.empty == ("temperature",)
+    assert channels.unused_roles == ("temperature",)
     assert list(channels.named()) == ["pressure"]
 
 

@@ -20,7 +20,7 @@ from unbend.batch.remote import Place
 from unbend.batch.results import read_manifest
 from unbend.batch.store import atomic_write
 from unbend.batch.unchanged import find_unchanged
-from unbend.config.campaign import Campaign, MissionRef, open_configs, refuse_twins
+from unbend.config.campaign import Campaign, MissionRef, open_configs, refuse_duplicates
 from unbend.errors import StorageError, UnbendError, storage_errors
 from unbend.exit_codes import EXIT_BUG
 from unbend.report.campaign import Row, campaign_page, campaign_table, row_of, row_without
@@ -134,7 +134,7 @@ def select_missions(
     listed = list(named_missions(missions, known_runs))
     for campaign in campaigns:
         members = set(campaign.missions)
-        refuse_twins(campaign, [mission for mission in listed if mission.ref in members])
+        refuse_duplicates(campaign, [mission for mission in listed if mission.ref in members])
         if writes:
             refuse_foreign_page(campaign.output)
     chosen = missions
@@ -186,7 +186,7 @@ def missions_called(names: Sequence[str], listed: Sequence[NamedMission]) -> lis
     not_met = set(names)
     chosen = []
     for mission in listed:
-        argument = mission.ref.words[-1]  # the file; or the name, in a campaign
+        argument = mission.ref.run_arguments[-1]  # the file; or the name, in a campaign
         names_of_mission = {mission.name, argument}
         if names_of_mission & wanted:
             chosen.append(mission.ref)

@@ -58,7 +58,7 @@ def lost_twice(mission: MissionRef, first: Lost, second: Lost) -> UnbendError:
         path=str(mission.path),
         first=first.how,
         second=second.how,
-        replay=shlex.join(["unbend", "run", *mission.words]),
+        replay=shlex.join(["unbend", "run", *mission.run_arguments]),
     )
 
 

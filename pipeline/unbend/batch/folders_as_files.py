@@ -4,7 +4,7 @@ from pathlib import Path
 
 from unbend.batch import messages
 from unbend.batch.input_files import NamedInput
-from unbend.config.other_files import run_of
+from unbend.config.other_files import results_folder_of
 from unbend.errors import InputError
 
 TABLES = (".csv", ".txt", ".tsv", ".parquet", ".pq")
@@ -13,7 +13,7 @@ TABLES = (".csv", ".txt", ".tsv", ".parquet", ".pq")
 
 def folder_refusal(named: NamedInput, path: Path) -> InputError:
     """The refusal (INPUT-FOLDER) of a folder in the place of a file."""
-    run = run_of(path)
+    run = results_folder_of(path)
     if run is not None:
         return messages.results_as_input(
             role=named.role,

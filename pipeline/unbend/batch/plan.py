@@ -27,7 +27,7 @@ from unbend.batch.input_files import (
 from unbend.batch.remote import Place, RemoteInput, is_url
 from unbend.batch.results import read_manifest
 from unbend.batch.store import would_replace
-from unbend.caches import user_cache
+from unbend.caches import user_cache_folder
 from unbend.config import Mission
 from unbend.config.stated_nulls import stated_nulls
 from unbend.errors import UnbendError
@@ -75,7 +75,7 @@ class Plan:
             return self.output
         url = str(self.output)
         key = hashlib.sha256(url.encode()).hexdigest()[:32]
-        return Path(user_cache()) / "results" / key / "run"
+        return Path(user_cache_folder()) / "results" / key / "run"
 
     def input(self, role: str) -> Input:
         """The input of a role, as `named_inputs` names it: ``log``, ``sounding 1``, ..."""

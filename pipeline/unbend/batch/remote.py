@@ -28,7 +28,7 @@ from unbend.batch import messages
 from unbend.batch.manifest import damage_of, manifest_text, parse_manifest
 from unbend.batch.object_store import Place, is_url
 from unbend.batch.waiting import within
-from unbend.caches import forget_oldest, user_cache
+from unbend.caches import remove_oldest, user_cache_folder
 from unbend.errors import UnbendError, storage_errors
 from unbend.tables.manifest.file_names import MANIFEST
 from unbend.tables.manifest.whole import Manifest
@@ -61,7 +61,7 @@ class RemoteInput:
     def copy(self) -> Path:
         """Where the copy of the input is, or will be made; it ends with the name of the input."""
         key = hashlib.sha256(f"{self.place}\0{self.version}".encode()).hexdigest()[:32]
-        return Path(user_cache()) / "copies" / key / self.place.name
+        return Path(user_cache_folder()) / "copies" / key / self.place.name
 
 
 def objects_of(place: Place) -> dict[str, dict[str, Any]]:
@@ -109,8 +109,8 @@ def fetch(remote: RemoteInput, *, anew: bool = False) -> Path:
     with storage_errors(copy):
         if not copy.exists():
             _make_copy(remote, folder)
-            forget_oldest(str(folder.parent), _MOST_BYTES)
-        os.utime(folder)  # its last use, by which `forget_oldest` chooses
+            remove_oldest(str(folder.parent), _MOST_BYTES)
+        os.utime(folder)  # its last use, by which `remove_oldest` chooses
     return copy
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from unbend.batch import messages, remote, store
 from unbend.batch.remote import Place
-from unbend.config.other_files import run_of
+from unbend.config.other_files import results_folder_of
 from unbend.tables.manifest.whole import Manifest
 
 
@@ -37,7 +37,7 @@ def manifest_of_run(output: Path | Place) -> Manifest:
     if not isinstance(output, Path):
         raise messages.no_manifest(path=path)
     if output.is_file():
-        folder = run_of(output)
+        folder = results_folder_of(output)
         folder_text = "" if folder is None else str(folder)
         raise messages.file_instead_of_run(
             path=path,

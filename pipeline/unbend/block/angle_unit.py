@@ -1,4 +1,4 @@
-"""Whether the headings of a block's images follow its flight lines as stated, or only as radians.
+"""Check whether headings of images were stated in degrees or gon, but are radians.
 
 The check needs no tie points. On the next flight line, flown the other way, the heading differs by
 180 degrees, or by 3.14 where a file of radians was read as degrees.
@@ -15,7 +15,7 @@ FEWEST_IMAGES = 6  # inside flight lines: fewer could follow them in the wrong u
 FULL_TURN_RAD = math.tau  # no angle in a file of radians is larger
 FOLLOWED = 0.9  # least concentration of course minus heading, if the headings follow the course
 LARGEST_TURN_RAD = math.pi / 4.0  # at an image that is inside a flight line
-UNRELATED = 0.5  # largest concentration of course minus heading, if they do not
+UNRELATED = 0.5  # largest concentration of course minus heading, if they do not follow it
 
 
 def courses(lat_rad: Array, lon_rad: Array) -> Array:
@@ -47,11 +47,16 @@ def concentration(angle_rad: Array) -> float:
     >>> concentration(np.array([3.1, 3.1])), round(concentration(np.array([0.0, np.pi])), 9)
     (1.0, 0.0)
     """
-    return float(np.abs(np.mean(np.exp(1j * angle_rad))))
+    unit_vectors = np.exp(1j * angle_rad)
+    return float(np.abs(np.mean(unit_vectors)))
 
 
 def are_radians(
-    stated: Array, heading_sign: float, lat_rad: Array, lon_rad: Array, usable: Mask
+    stated: Array,
+    heading_sign: float,
+    lat_rad: Array,
+    lon_rad: Array,
+    usable: Mask,
 ) -> bool:
     """Whether angles that are stated in degrees or gon follow the flight lines only as radians.
 
@@ -63,7 +68,7 @@ def are_radians(
     stated : (n, 3) the numbers of the file, those of the heading (yaw or kappa) last.
     heading_sign : 1 for a heading that is positive clockwise (yaw), -1 for kappa.
     lat_rad, lon_rad : (n,) positions of the images of one camera, in the order of the flight.
-    usable : (n,) the images that are compared.
+    usable : (n,) whether an image is compared.
     """
     if not usable.any() or np.abs(stated[usable]).max() > FULL_TURN_RAD:
         return False

@@ -12,7 +12,7 @@ How to use it, one camera at a time::
 
 A hypothesis is a clock (an offset and a drift of the camera's clock against the log's), or, where
 the images have no times, what has to be added to their numbers; `alignment` gives its likelihood.
-The runner-up is the best hypothesis that gives most images another event.
+The runner-up is the best hypothesis that gives more than half of the images another event.
 """
 
 from collections.abc import Callable
@@ -24,12 +24,12 @@ from unbend.block.alignment import LOG_RATIO_NEEDED, Axis, Shares
 from unbend.block.image_evidence import CameraEvents, ImageEvidence
 from unbend.units import Array, Integers, Mask
 
-MAX_HYPOTHESES = 24  # offsets that are looked at ...
-MAX_WITH_POINTS = 400  # ... and where tie points decide between them
-HOPELESS = 60.0  # so far below the best one, a hypothesis is not shown to the tie points
-ENOUGH_MEET = 0.8  # of the most points that meet: an assignment that can win
-MIN_RIVALS = 3  # that are shown to the tie points, however few points meet
-LARGEST_SIGMA = 0.25  # of the median interval: chance alone gives 0.37
+MAX_HYPOTHESES = 24  # offsets that are compared
+MAX_WITH_POINTS = 400  # offsets that are compared where tie points help to decide
+HOPELESS = 60.0  # log likelihood below the best one: tie points do not test such a hypothesis
+ENOUGH_MEET = 0.8  # of the largest share of points that meet: such an assignment can win
+MIN_RIVALS = 3  # that tie points test, however few points meet
+LARGEST_SIGMA = 0.25  # of the median interval: times that fit only by chance give 0.37
 FEW_AMBIGUOUS = 0.2  # of the images
 
 
@@ -39,24 +39,24 @@ class Assignment:
 
     event: Integers  # row of the event of each image, -1 for none
     residual_s: Array  # event minus image time after offset and drift, NaN without times
-    ambiguous: Mask  # between two events, of which neither is 1000 times as likely: they have none
+    ambiguous: Mask  # images between two events that are about as likely: they have no event
     repeated: Mask  # (m,) as of `CameraEvents`
-    runner_up: Integers  # events of the best rival
-    log_ratio: float  # natural logarithm of the likelihood ratio, infinite without a rival
-    reason: str  # why it is refused, or empty
-    evidence: tuple[str, ...]  # what has spoken
+    runner_up: Integers  # row of the event of each image by the best rival, -1 for none
+    log_ratio: float  # log likelihood minus that of the rival, infinite without a rival
+    reason: str  # why the assignment is refused; empty if it is not
+    evidence: tuple[str, ...]  # kinds of evidence that were used, in words
     offset_s: float = np.nan  # event minus camera time at the middle image
     drift: float = np.nan
-    sigma_s: float = np.nan  # what the residuals show of one image's time
+    sigma_s: float = np.nan  # standard deviation of an image's time, by the residuals
 
     @property
     def accepted(self) -> bool:
-        """Whether it may be used."""
+        """Whether the assignment may be used."""
         return not self.reason
 
     @property
     def shift(self) -> int:
-        """By how many events the runner-up differs (median); 0 without one."""
+        """By how many events the runner-up is later (median over images); 0 without one."""
         both = (self.runner_up >= 0) & (self.event >= 0)
         if not np.any(both):
             return 0
@@ -72,19 +72,21 @@ def assign(
     tie_points: Callable[[Integers], float] | None = None,
     share_met: Callable[[Integers], Array] | None = None,
 ) -> Assignment:
-    """Assign events to images by all that both say.
+    """Assign events to images by times, numbers, names and, if given, tie points.
 
     Parameters
     ----------
     first_image : (row of an image, row of its event), stated by the user.
-    tie_points : natural logarithm of the likelihood of an assignment ((k,) rows of events, -1 for
-        none) by rays that intersect; called for up to some hundred hypotheses.
-    share_met : (c,) share of tie points whose rays meet under assignments (c, k), which costs
-        little: ``tie_points`` is then called only for those that can win, and some rivals.
+    tie_points : function that gives the log likelihood of an assignment ((k,) rows of events, -1
+        for none) by rays that intersect. It is called for up to some hundred hypotheses.
+    share_met : fast function that gives the share (c,) of tie points with rays that meet, under
+        assignments (c, k). Then ``tie_points`` is called only for those that can win, and for some
+        rivals.
 
-    Refused (``reason``) where the runner-up's likelihood is not 1000 times smaller, where unequal
-    counts have only ``counted`` names, where fewer than half of the images find an event, where the
-    times fit no better than by chance, and where ``first_image`` contradicts the rest.
+    The assignment is refused (``reason``) if the likelihood of the runner-up is not 1000 times
+    smaller, if counts are unequal and names are only ``counted``, if fewer than half of the images
+    have an event, if times fit no better than by chance, and if ``first_image`` contradicts the
+    other evidence.
 
     >>> times = np.array([0.0, 3.0, 6.1, 9.0, 40.0, 43.1, 46.0, 49.0])
     >>> camera_clock = ImageEvidence(5, time_s=times[2:7] + 7200.0, sigma_s=0.05)
@@ -101,8 +103,8 @@ def assign(
     offsets = np.append(offsets, images.offsets_of_names(events, axis))
     if first_image is not None:
         offsets = np.append(offsets, offset_of_first_image(axis, first_image))
-    axis = axis.with_sigma_inflated(axis.fitted(offsets))
-    clocks, shares = axis.with_neighbours(axis.fitted(offsets))
+    axis = axis.with_sigma_inflated(axis.fitted_clocks(offsets))
+    clocks, shares = axis.with_shifted_clocks(axis.fitted_clocks(offsets))
     hypotheses = scored_hypotheses(events, images, axis, clocks, shares)
     if tie_points is not None:
         hypotheses = scored_by_points(hypotheses, tie_points, share_met)
@@ -126,30 +128,30 @@ def assign(
     if axis.is_time:
         chosen = with_clock(chosen, axis, clocks[choice.best])
 
-    # Prices of missing events and images alone are no evidence against what was stated.
+    # Prices of missing events and images alone are no evidence against ``first_image``.
     contradiction = 0.0
-    if axis.is_time or tie_points is not None or images.names_speak(events):
+    if axis.is_time or tie_points is not None or images.names_state_events(events):
         contradiction = choice.contradiction
     reason = why_refused(chosen, events, images, axis, contradiction)
     return replace(chosen, reason=reason)
 
 
 def can_be_assigned(axis: Axis, first_image: tuple[int, int] | None) -> bool:
-    """Whether there are events and images, and the stated image among those."""
+    """Whether the axis has events and images, and the image that the user stated."""
     if axis.events.size == 0 or axis.images.size == 0:
         return False
     return first_image is None or first_image[0] in axis.image_rows
 
 
 def offset_of_first_image(axis: Axis, first_image: tuple[int, int]) -> float:
-    """The offset under which the stated image has the stated event."""
+    """The offset under which ``first_image`` (row of an image, row of its event) is right."""
     image_row, event_row = first_image
     place = int(np.flatnonzero(axis.image_rows == image_row)[0])
     return float(axis.events[event_row] - axis.images[place])
 
 
 def empty_assignment(events: CameraEvents, images: ImageEvidence, reason: str) -> Assignment:
-    """Images without events."""
+    """An assignment in which no image has an event."""
     return Assignment(
         event=np.full(images.count, -1, np.int64),
         residual_s=np.full(images.count, np.nan),
@@ -163,12 +165,12 @@ def empty_assignment(events: CameraEvents, images: ImageEvidence, reason: str) -
 
 
 def evidence_of(events: CameraEvents, images: ImageEvidence, axis: Axis) -> list[str]:
-    """What of events and images has spoken, in words."""
+    """The kinds of evidence from events and images that were used, in words."""
     evidence = []
     if axis.is_time:
         evidence.append("times")
     by_number = images.number is not None and not axis.is_time
-    if images.names_speak(events) or by_number:
+    if images.names_state_events(events) or by_number:
         evidence.append(f"names ({images.numbering})")
     if images.number is None and not axis.is_time:
         evidence.append("order")
@@ -176,7 +178,10 @@ def evidence_of(events: CameraEvents, images: ImageEvidence, axis: Axis) -> list
 
 
 def with_clock(assignment: Assignment, axis: Axis, clock: Array) -> Assignment:
-    """An assignment by times, with the clock (2,) and the residuals from it."""
+    """An assignment by times with its clock (2,): offset, drift, sigma and residuals.
+
+    Changes ``residual_s`` of the given assignment.
+    """
     event = assignment.event[axis.image_rows]
     predicted_s = axis.predicted(clock[None])[0]
     residual_s = axis.events[event] - predicted_s
@@ -192,25 +197,23 @@ def with_clock(assignment: Assignment, axis: Axis, clock: Array) -> Assignment:
 
 @dataclass(frozen=True, eq=False)
 class ScoredHypotheses:
-    """Assignments (c, k) under the clocks, and their log likelihoods (c,)."""
+    """Assignments under c clocks, and their log likelihoods."""
 
-    rows: Integers  # (c, k) of the event of each image, -1 for none
-    score: Array
+    rows: Integers  # (c, k) row of the event of each image, -1 for none
+    score: Array  # (c,) log likelihood
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The best hypothesis that agrees with what is stated, against others.
+    """The best hypothesis that agrees with ``first_image``, and its best rival.
 
-    ``runner_up`` (k,) are the rows of the best rival, which gives most images another event, -1
-    without one. ``log_ratio`` and ``contradiction`` are natural logarithms of how much more likely
-    the choice is than this rival, infinite without one, and less than the best of all.
+    A rival gives most images another event.
     """
 
-    best: int
-    runner_up: Integers
-    log_ratio: float
-    contradiction: float
+    best: int  # number of the hypothesis
+    runner_up: Integers  # (k,) row of the event of each image by the rival, -1 for none
+    log_ratio: float  # log likelihood of the best minus the rival; infinite without a rival
+    contradiction: float  # log likelihood of the best of all, also against first_image, minus best
 
 
 def scored_hypotheses(
@@ -220,7 +223,7 @@ def scored_hypotheses(
     clocks: Array,
     shares: Shares,
 ) -> ScoredHypotheses:
-    """The assignments under the clocks, by times, numbers and names."""
+    """The assignments under clocks (c, 2), scored by times or numbers and by names."""
     partners = axis.partners(clocks)
     rows = np.full((clocks.shape[0], images.count), -1, np.int64)
     rows[:, axis.image_rows] = partners
@@ -235,13 +238,17 @@ def scored_by_points(
     tie_points: Callable[[Integers], float],
     share_met: Callable[[Integers], Array] | None,
 ) -> ScoredHypotheses:
-    """Hypotheses with the likelihoods of tie points; the hopeless ones have the least of them."""
+    """Hypotheses with the log likelihoods of tie points added to their scores.
+
+    A hypothesis that is `HOPELESS` below the best one gets the least of these log likelihoods,
+    without a call of ``tie_points``. Equal assignments are computed once.
+    """
     score = hypotheses.score.copy()
     is_hopeful = score > score.max() - HOPELESS
     hopeful_rows = hypotheses.rows[is_hopeful]
-    different, which = np.unique(hopeful_rows, axis=0, return_inverse=True)
-    by_points = likelihoods_by_points(different, tie_points, share_met)
-    score[is_hopeful] += by_points[which.ravel()]
+    unique_rows, row_in_unique = np.unique(hopeful_rows, axis=0, return_inverse=True)
+    by_points = likelihoods_by_points(unique_rows, tie_points, share_met)
+    score[is_hopeful] += by_points[row_in_unique.ravel()]
     score[~is_hopeful] += by_points.min()
     return replace(hypotheses, score=score)
 
@@ -251,9 +258,11 @@ def likelihoods_by_points(
     tie_points: Callable[[Integers], float],
     share_met: Callable[[Integers], Array] | None,
 ) -> Array:
-    """(c,) log likelihoods; that of an assignment at which too few points meet is the least one.
+    """(c,) log likelihoods of assignments (c, k) by tie points.
 
-    Where fewer than half meet at best, every one is computed.
+    With ``share_met``, they are computed only for assignments that can win: at least `ENOUGH_MEET`
+    times the largest share of points meets, or they are among the best rivals. Others get the least
+    of these values. If fewer than half of the points meet under every assignment, all are computed.
     """
     can_win = np.ones(rows.shape[0], np.bool_)
     met = None if share_met is None else share_met(rows)
@@ -273,7 +282,10 @@ def likelihoods_by_points(
 def chosen_hypothesis(
     hypotheses: ScoredHypotheses, axis: Axis, first_image: tuple[int, int] | None
 ) -> Choice:
-    """The best hypothesis that agrees with the stated image, and its best rival of those."""
+    """The best hypothesis that agrees with ``first_image``, and the best rival that does.
+
+    Pulses are compared, not events: a repeat of a pulse is the same pulse.
+    """
     rows = hypotheses.rows
     score = hypotheses.score
     has_event = rows >= 0
@@ -297,7 +309,7 @@ def chosen_hypothesis(
 
 
 def best_of(score: Array, allowed: Mask) -> int:
-    """The row of the highest score that is allowed; the first one if none is."""
+    """The row of the highest score that is allowed; 0 if none is allowed."""
     return int(np.argmax(np.where(allowed, score, -np.inf)))
 
 
@@ -311,10 +323,10 @@ def why_refused(
     axis: Axis,
     contradiction: float,
 ) -> str:
-    """Why an assignment is not accepted, or nothing.
+    """Why an assignment is refused; empty if it is accepted.
 
-    ``contradiction`` is how much more likely another one is that what was stated excludes, as a
-    natural logarithm.
+    ``contradiction`` is the log likelihood of the best assignment without ``first_image`` minus
+    that of this one, 0 or more.
     """
     ambiguous = int(np.count_nonzero(assignment.ambiguous))
     placed = int(np.count_nonzero(assignment.event >= 0)) + ambiguous
@@ -333,7 +345,7 @@ def why_refused(
         return f"{placed} images have no pattern of intervals"
     if assignment.log_ratio >= LOG_RATIO_NEEDED:
         return ""
-    if assignment.evidence[-1] == "names (counted)" and not images.names_speak(events):
+    if assignment.evidence[-1] == "names (counted)" and not images.names_state_events(events):
         counts = f"counted up to {int(np.max(axis.images))} and {events.time_s.size} events"
         why = "numbers alone do not decide the assignment of images to events"
         return f"{images.count} images {counts}: {why}"

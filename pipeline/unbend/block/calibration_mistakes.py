@@ -1,7 +1,7 @@
-"""Interior orientations as they are after a mistake, and what the right ones would be.
+"""Possible mistakes in interior orientations, each with the corrected cameras.
 
-Each mistake is undone: coordinates of the principal point that count along other axes, coefficients
-of distortion with the other sign, and calibrations of two cameras that were exchanged.
+The mistakes are coordinates of the principal point along other axes, coefficients of distortion
+with the other sign, and calibrations of two cameras that were exchanged.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from typing import NamedTuple
 
 from unbend.refraction.camera.camera import Camera
 
-LEAST_MOVE_PX = 1.0  # of a principal point: less than this changes nothing
-SIGNED_COEFFICIENTS = "kpq"  # first letters of the coefficients that change with the sign
+LEAST_MOVE_PX = 1.0  # of a principal point: smaller moves make no difference
+SIGNED_COEFFICIENTS = "kpq"  # first letters of the coefficients that a wrong sense negates
 
 
 class OffsetAxes(NamedTuple):
-    """Along which axes a principal point's offset from the centre of the image counts."""
+    """The axes of a principal point's offset from the centre of the image."""
 
-    exchanged: bool
-    sign_x: int
-    sign_y: int
+    exchanged: bool  # x and y
+    sign_x: int  # of the offset to the right, after the exchange
+    sign_y: int  # of the offset down, after the exchange
 
 
 OTHER_AXES = (
@@ -34,14 +34,14 @@ OTHER_AXES = (
     OffsetAxes(exchanged=True, sign_x=-1, sign_y=1),
     OffsetAxes(exchanged=True, sign_x=-1, sign_y=-1),
 )
-"""All axes but those of the package."""
+"""All axes except those of the package, x to the right and y down."""
 
 Mistake = tuple[str, dict[str, Camera]]
-"""What is wrong with calibrations, in words, and the right ones by name of the camera."""
+"""What is wrong with calibrations, in words, and the corrected ones by name of the camera."""
 
 
 def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[Mistake]:
-    """Mistakes in the calibration of each camera alone, of all or of two."""
+    """Possible mistakes in the calibrations of each camera alone, of all, and of each pair."""
     groups = each_and_all(cameras)
     for group, axes in product(groups, OTHER_AXES):
         cameras_of_group = {name: cameras[name] for name in group}
@@ -54,13 +54,16 @@ def mistaken_calibrations(cameras: Mapping[str, Camera]) -> Iterator[Mistake]:
 
 
 def moved_principal_points(cameras: Mapping[str, Camera], axes: OffsetAxes) -> Iterator[Mistake]:
-    """The principal points of cameras along other axes; nothing where one of them hardly moves."""
+    """The mistake that principal points were stated along other axes.
+
+    Nothing if one of them moves by less than `LEAST_MOVE_PX`.
+    """
     corrected = {}
     for name, camera in cameras.items():
         moved = with_other_axes(camera, axes)
-        x_px = abs(moved.cx_px - camera.cx_px)
-        y_px = abs(moved.cy_px - camera.cy_px)
-        if max(x_px, y_px) <= LEAST_MOVE_PX:
+        move_x_px = abs(moved.cx_px - camera.cx_px)
+        move_y_px = abs(moved.cy_px - camera.cy_px)
+        if max(move_x_px, move_y_px) <= LEAST_MOVE_PX:
             return
         corrected[name] = moved
     places = [f"{c.cx_px:.1f}, {c.cy_px:.1f} px in {name}" for name, c in corrected.items()]
@@ -71,7 +74,7 @@ def moved_principal_points(cameras: Mapping[str, Camera], axes: OffsetAxes) -> I
 def distortions_of_other_sign(
     cameras: Mapping[str, Camera],
 ) -> Iterator[Mistake]:
-    """The distortions of cameras with the other sign; nothing where one of them has none."""
+    """The mistake that all distortions have the other sign; nothing if a camera has none."""
     corrected = {}
     for name, camera in cameras.items():
         lens = camera.distortion
@@ -95,9 +98,9 @@ def distortions_of_other_sign(
 def exchanged_calibrations(
     cameras: Mapping[str, Camera], first: str, second: str
 ) -> Iterator[Mistake]:
-    """The calibrations of two cameras exchanged; the sizes of their images stay.
+    """The mistake that the calibrations of two cameras were exchanged; image sizes stay.
 
-    Nothing where they are the same, or those of different models of distortion.
+    Nothing if they are equal, or have different models of distortion.
     """
     camera_of_first = cameras[first]
     camera_of_second = cameras[second]
@@ -110,13 +113,13 @@ def exchanged_calibrations(
         yield f"the calibrations of {first} and {second} are exchanged", corrected
 
 
-def with_image_size(camera: Camera, sized: Camera) -> Camera:
-    """A camera with the size of another one's images."""
-    return replace(camera, width_px=sized.width_px, height_px=sized.height_px)
+def with_image_size(camera: Camera, other: Camera) -> Camera:
+    """A camera with the image size of another one."""
+    return replace(camera, width_px=other.width_px, height_px=other.height_px)
 
 
 def with_other_axes(camera: Camera, axes: OffsetAxes) -> Camera:
-    """The principal point with its offset from the centre of the image along other axes."""
+    """A camera with the offset of its principal point taken along other axes."""
     middle_x = 0.5 * camera.width_px
     middle_y = 0.5 * camera.height_px
     x = camera.cx_px - middle_x
@@ -131,7 +134,7 @@ def with_other_axes(camera: Camera, axes: OffsetAxes) -> Camera:
 
 
 def between(camera: Camera, other: Camera, share: float) -> Camera:
-    """A calibration that is 0 of the way to another, or 1, or anywhere on or beyond it."""
+    """Linear interpolation of calibrations: ``camera`` at 0, ``other`` at 1, or beyond."""
     mixed = {}
     for name in ("fx_px", "fy_px", "cx_px", "cy_px"):
         start = getattr(camera, name)
@@ -145,7 +148,7 @@ def between(camera: Camera, other: Camera, share: float) -> Camera:
 
 
 def each_and_all(names: Collection[str]) -> list[tuple[str, ...]]:
-    """Each camera alone, and all together where there are several.
+    """Groups of cameras: each alone, and all together if there are several.
 
     >>> each_and_all(["nadir", "oblique"])
     [('nadir',), ('oblique',), ('nadir', 'oblique')]

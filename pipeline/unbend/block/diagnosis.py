@@ -1,8 +1,8 @@
-"""What tie points say of a mission file: the decision between its likely mistakes.
+"""Find likely mistakes in a mission file by tie points.
 
-The mistakes are those of `possible_mistakes` and `calibration_mistakes`, each with its estimate. A
-hypothesis that is 1000 times as likely as what is stated, and larger than the stated sigmas
-explain, is a finding.
+The possible mistakes are those of `possible_mistakes` and `calibration_mistakes`, each with its
+estimate. A mistake is a finding if it is 1000 times as likely as the stated values, and larger than
+the stated sigmas explain.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from unbend.block.possible_mistakes import (
 from unbend.units import Integers
 
 RANKING_POINTS = 200  # enough to order the large mistakes; all points decide among the best
-BEST_LARGE_MISTAKES = 4  # that all points decide between
-MAX_MISTAKES = 4  # that are looked for, one beside the other
-POOR_FIT = 2.0  # misses over sigmas, beyond which anything may be wrong
-FEW_MEET = 0.7  # share of points whose rays meet, below which anything may be wrong
-FEW_BAD = 0.1  # of the rays of a camera: so many are no sign of a mistake
-WORTH_A_LOOK = 0.3 * LOG_RATIO_NEEDED
-EQUALLY_LIKELY = 0.1  # of a log likelihood ratio, within which two mistakes count as such
-MISTAKEN_AT = 0.3  # within which of 1 a calibration is the mistaken one, and nothing between
+BEST_LARGE_MISTAKES = 4  # large mistakes that are compared by all points
+MAX_MISTAKES = 4  # that are searched one after the other, each with the former ones corrected
+POOR_FIT = 2.0  # residuals over sigmas: above it, large mistakes are tried
+FEW_MEET = 0.7  # share of points with rays that meet: below it, large mistakes are tried
+FEW_BAD = 0.1  # share of the rays of a camera: so many bad rays are no sign of a mistake
+WORTH_A_LOOK = 0.3 * LOG_RATIO_NEEDED  # gain of the log likelihood for a closer estimate
+EQUALLY_LIKELY = 0.1  # share of a gain: mistakes with gains within it are equally likely
+MISTAKEN_AT = 0.3  # a calibration is the mistaken one if its estimated amount is so near to 1
 
 MOUNT_REFINEMENTS = 3
-LARGEST_REFINEMENT_RAD = np.radians(5.0)  # of a mistake that is still that one
-MAX_RANKING_STEPS = 12  # of an amount by some points: 15 % of a principal distance, and settled
-MAX_STEPS = 3  # by all points, from there
-LARGEST_STEPS = 3.0  # that an amount changes by at once
-SMALLEST_STEP = 0.1  # of the step before
-SETTLED = 0.05  # of its sigma: an amount that changes by less is the most likely one
+LARGEST_REFINEMENT_RAD = np.radians(5.0)  # a mount that is refined by more is another mistake
+MAX_RANKING_STEPS = 12  # of an amount by the ranking points: reaches 15 % of a focal length
+MAX_STEPS = 3  # of an amount by all points, from there
+LARGEST_STEPS = 3.0  # step lengths by which an amount changes at most in one step
+SMALLEST_STEP = 0.1  # of the former step length
+SETTLED = 0.05  # of the sigma: an amount that changes by less is final
 
 KEYS = {
     "TIES-MOUNT": "mount.{}",
@@ -55,52 +55,49 @@ KEYS = {
     "TIES-CAMERAS": "cameras",
     "TIES-CALIBRATION": "cameras.{}",
 }
-"""Where in the mission file each mistake stands, with the camera it is of."""
+"""Key of the mission file for each mistake; {} is the name of the camera."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A contradiction: code, key of the mission file, and one sentence with number and sigma."""
+    """A likely mistake in the mission file."""
 
     code: str
-    key: str
-    what: str
-    log_ratio: float  # natural logarithm of its likelihood over that of what is stated
-    sigma_factor: float  # residuals of the rays alone over what their sigmas say, then
-    also: tuple[str, ...] = ()  # the same of others that are nearly as likely
-    cameras: tuple[str, ...] = ()  # that are concerned
+    key: str  # of the mission file
+    what: str  # one sentence with number and sigma
+    log_ratio: float  # log likelihood with the mistake corrected, minus that as stated
+    sigma_factor: float  # residuals of the rays over their sigmas, with the mistake corrected
+    also: tuple[str, ...] = ()  # sentences of other mistakes that are nearly as likely
+    cameras: tuple[str, ...] = ()  # with the mistake; empty if it concerns all stations
     label: str = ""  # which mistake of its kind
     beyond_datums: bool = False  # heights differ by more than another datum or feet explain
 
     @property
     def subject(self) -> tuple[str, str, tuple[str, ...]]:
-        """What two findings have in common that are estimates of one mistake."""
+        """Key for comparison: equal for two estimates of the same mistake."""
         return self.code, self.key, self.cameras
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A hypothesis that is likely enough, with the ``gain`` of the log likelihood under it.
-
-    ``text`` is empty where stated sigmas explain it. ``beyond_datums``: heights differ by more than
-    another datum or feet explain.
-    """
+    """A possible mistake that is likely enough to explain the rays."""
 
     hypothesis: PossibleMistake
-    reading: Reading
-    intersection: Intersection
-    gain: float
-    text: str
-    beyond_datums: bool = False
+    reading: Reading  # with the mistake corrected
+    intersection: Intersection  # of that reading
+    gain: float  # of the log likelihood
+    text: str  # empty if the stated sigmas explain the mistake, or it is too small to matter
+    beyond_datums: bool = False  # heights differ by more than another datum or feet explain
 
 
 def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]]:
-    """The intersection as stated, by the rays alone, and what contradicts the mission file.
+    """The intersection of the rays as stated, without given heights, and the likely mistakes.
 
-    Nothing is tried where rays that meet exactly were not 1000 times as likely. Common errors of
-    mounts, principal distances, heights and times are tried where their linear estimates gain; the
-    large mistakes where rays do not meet as their sigmas say: some seconds with 2,000 points, 200
-    of which rank them. The standard atmosphere's refraction is removed (`straightened`).
+    Nothing is tried if rays that meet exactly were less than 1000 times as likely. Small errors of
+    mounts, principal distances, heights and times are tried if their linear estimates improve the
+    likelihood, large mistakes if the rays fit their sigmas poorly: this takes some seconds with
+    2,000 points. Mistakes are searched one after the other, with the former ones corrected. The
+    refraction of the standard atmosphere is removed from the rays (`straightened`).
     """
     reading = Reading(mission.cameras)
     by_rays_alone = reading.intersected(mission.without_heights)
@@ -110,12 +107,12 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
     findings: list[Finding] = []
 
     for _ in range(MAX_MISTAKES):
-        if intersection.misfit <= LOG_RATIO_NEEDED:  # nothing can be more likely by as much
+        if intersection.misfit <= LOG_RATIO_NEEDED:  # no mistake can gain as much
             break
         explanations = likely_explanations(mission, reading, intersection, points)
         if not any(explanation.text for explanation in explanations):
             break
-        # What is more likely and matters to nobody is no finding, nor is what it explains.
+        # The best explanation is corrected, also one without a text, which is not reported.
         explanations.sort(key=lambda e: -e.gain - e.hypothesis.log_odds)
         best = explanations[0]
         reading = best.reading
@@ -123,7 +120,7 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
         if not best.text:
             continue
         finding = finding_of(mission, explanations)
-        # What is estimated once more is said once.
+        # A later estimate of the same mistake replaces the earlier one.
         findings = [earlier for earlier in findings if earlier.subject != finding.subject]
         findings.append(finding)
 
@@ -135,13 +132,17 @@ def diagnosis(mission: StatedMission) -> tuple[Intersection, tuple[Finding, ...]
 
 
 def ranking_points(points: Integers) -> Integers:
-    """Some of the points (p,), evenly over all of them."""
+    """At most `RANKING_POINTS` of the numbers of points (p,), evenly spaced."""
     rows = np.linspace(0, points.size - 1, RANKING_POINTS).astype(int)
-    return np.asarray(points[np.unique(rows)[: points.size]], np.int64)
+    unique_rows = np.unique(rows)[: points.size]  # none of no points
+    return np.asarray(points[unique_rows], np.int64)
 
 
 def finding_of(mission: StatedMission, explanations: list[Explanation]) -> Finding:
-    """The best explanation, which comes first, with those that are nearly as likely."""
+    """The finding for the first explanation, which is the best one.
+
+    It lists in ``also`` other explanations with a nearly equal gain.
+    """
     best = explanations[0]
     hypothesis = best.hypothesis
     also: dict[tuple[str, str], str] = {}
@@ -152,7 +153,7 @@ def finding_of(mission: StatedMission, explanations: list[Explanation]) -> Findi
     key = KEYS[hypothesis.code].format(hypothesis.camera).rstrip(".")
     if hypothesis.code == "TIES-MOUNT" and not mission.mounts:  # orientations are stated
         key = "stations.orientation"
-    if hypothesis.code == "TIES-PIXELS" and hypothesis.label == "upward":  # of no column
+    if hypothesis.code == "TIES-PIXELS" and hypothesis.label == "upward":  # no column is wrong
         key = "observations"
     return Finding(
         code=hypothesis.code,
@@ -173,12 +174,14 @@ def finding_of(mission: StatedMission, explanations: list[Explanation]) -> Findi
 def likely_explanations(
     mission: StatedMission, current: Reading, intersection: Intersection, points: Integers
 ) -> list[Explanation]:
-    """What explains the rays 1000 times as well as the ``current`` reading with its intersection.
+    """Mistakes that make the rays 1000 times as likely as the ``current`` reading does.
 
-    Some ``points`` rank the large mistakes and show what is worth a look.
+    ``intersection`` is that of the current reading. The ranking ``points`` order the large
+    mistakes, and rule out mistakes before all points are intersected.
     """
-    is_poor = not intersection.sigma_factor < POOR_FIT or intersection.used.mean() < FEW_MEET
-    least_gain = 0.0 if is_poor or intersection.most_bad > FEW_BAD else WORTH_A_LOOK
+    fits_poorly = not intersection.sigma_factor < POOR_FIT  # also if it is NaN
+    is_poor = fits_poorly or intersection.used.mean() < FEW_MEET
+    least_gain = 0.0 if is_poor or intersection.largest_bad_share > FEW_BAD else WORTH_A_LOOK
     hypotheses = list(small_errors(mission, current, intersection, least_gain))
     if is_poor:
         hypotheses += best_large_mistakes(mission, current, points)
@@ -196,29 +199,33 @@ def likely_explanations(
         gain = explained.log_likelihood - intersection.log_likelihood
         if gain + min(0.0, estimated.log_odds) > LOG_RATIO_NEEDED:
             text = error_in_words(mission, estimated, explained, sigma)
-            explanation = Explanation(
-                hypothesis=estimated,
-                reading=reading,
-                intersection=explained,
-                gain=gain,
-                text=text,
-                beyond_datums=is_beyond_datums(mission, estimated, explained, sigma),
+            explanations.append(
+                Explanation(
+                    hypothesis=estimated,
+                    reading=reading,
+                    intersection=explained,
+                    gain=gain,
+                    text=text,
+                    beyond_datums=is_beyond_datums(mission, estimated, explained, sigma),
+                )
             )
-            explanations.append(explanation)
     return explanations
 
 
 def best_large_mistakes(
     mission: StatedMission, current: Reading, points: Integers
 ) -> list[PossibleMistake]:
-    """The large mistakes that are the most likely by some points."""
+    """The `BEST_LARGE_MISTAKES` large mistakes that are likeliest by some points."""
     hypotheses = list(large_mistakes(mission, current))
     hypotheses.sort(key=lambda hypothesis: -likelihood(mission, hypothesis.reading, points))
     return hypotheses[:BEST_LARGE_MISTAKES]
 
 
 def likelihood(mission: StatedMission, reading: Reading, points: Integers) -> float:
-    """The log likelihood of a reading by some points; mirrored rays meet above their stations."""
+    """The log likelihood of a reading by some points; -inf if they are above their stations.
+
+    There mirrored rays meet.
+    """
     intersection = reading.intersected(mission, points)
     return intersection.log_likelihood if intersection.flying_height_m > 0.0 else -np.inf
 
@@ -226,10 +233,10 @@ def likelihood(mission: StatedMission, reading: Reading, points: Integers) -> fl
 def likely_calibrations(
     mission: StatedMission, current: Reading, intersection: Intersection
 ) -> list[Explanation]:
-    """Other calibrations that are likely.
+    """Mistakes in calibrations that are likely.
 
-    A principal point that is off turns rays nearly as a mount does: only what no mount explains,
-    turned to where the rays meet best, speaks of a calibration.
+    A wrong principal point turns the rays nearly as a mount does. So the gain of a calibration
+    counts in addition to the best turns of all cameras.
     """
     estimates = calibration_estimates(mission, current, intersection)
     largest_gain = max((estimate.gain for estimate in estimates), default=0.0)
@@ -238,13 +245,13 @@ def likely_calibrations(
         if estimate.gain <= (1.0 - EQUALLY_LIKELY) * largest_gain:
             continue
         hypothesis = replace(estimate.hypothesis, amount=estimate.amount)
-        # Beside other mistakes it counts without the turns, if it then explains more.
+        # With other mistakes in the file, the calibration may gain more without the turns.
         reading = hypothesis.reading
         without_turns = reading.intersected(mission).log_likelihood
         gain_without_turns = without_turns - intersection.log_likelihood
         explains_more = gain_without_turns > estimate.gain
         if not explains_more:
-            reading = reading.settled(mission)
+            reading = reading.with_best_turns(mission)
         gain = max(estimate.gain, gain_without_turns)
         explained = reading.intersected(mission)
         text = hypothesis.label
@@ -255,12 +262,15 @@ def likely_calibrations(
 def calibration_estimates(
     mission: StatedMission, current: Reading, intersection: Intersection
 ) -> list[LinearEstimate]:
-    """Other calibrations that gain enough beside turns of all cameras, and are whole mistakes."""
+    """Mistakes in calibrations that gain enough in addition to turns of all cameras.
+
+    Only those with an estimated amount near 1: the whole mistake, not a part of it.
+    """
     turns = [intersection.orientations.turns_of(camera) for camera in current.cameras]
-    beside = np.concatenate(turns, axis=2)
+    shared = np.concatenate(turns, axis=2)
     calibrations = other_calibrations(current)
     estimates = []
-    for estimate in linear_estimates(mission, current, intersection, calibrations, beside):
+    for estimate in linear_estimates(mission, current, intersection, calibrations, shared):
         is_whole = abs(estimate.amount - 1.0) < MISTAKEN_AT
         if is_whole and estimate.gain > LOG_RATIO_NEEDED:
             estimates.append(estimate)
@@ -273,7 +283,10 @@ def calibration_estimates(
 def refined(
     mission: StatedMission, hypothesis: PossibleMistake, points: Integers | None
 ) -> tuple[PossibleMistake, float]:
-    """A hypothesis at its most likely amount by some points or all, with the sigma of that."""
+    """A hypothesis at its most likely amount, and the sigma of the amount; 0 for a mount.
+
+    ``points`` are the numbers of the points that are used; None for all.
+    """
     if hypothesis.code == "TIES-MOUNT":
         return refined_mount(mission, hypothesis, points), 0.0
     return refined_amount(mission, hypothesis, points)
@@ -282,7 +295,10 @@ def refined(
 def refined_mount(
     mission: StatedMission, hypothesis: PossibleMistake, points: Integers | None
 ) -> PossibleMistake:
-    """A mount turned to where the rays meet best; far from a mistake it loses its name."""
+    """The hypothesis of a mount, turned further to where the rays meet best.
+
+    It loses its label if that is more than `LARGEST_REFINEMENT_RAD` from the labelled mistake.
+    """
     camera = hypothesis.camera
     reading = hypothesis.reading
     for _ in range(MOUNT_REFINEMENTS):
@@ -301,9 +317,11 @@ def refined_mount(
 def refined_amount(
     mission: StatedMission, hypothesis: PossibleMistake, points: Integers | None
 ) -> tuple[PossibleMistake, float]:
-    """An amount at the top of parabolas through three log likelihoods, with the sigma they show.
+    """A hypothesis at its most likely amount, and the sigma of the amount.
 
-    The sigma is infinite where no top was near, and for a mistake without an amount.
+    The amount moves to the top of a parabola through the log likelihoods at three amounts, until it
+    changes little. The sigma follows from the curvature there; it is infinite if no top was near,
+    and for a mistake without an amount.
     """
     amount = hypothesis.amount
     step = hypothesis.step
@@ -321,13 +339,13 @@ def refined_amount(
         farthest = LARGEST_STEPS * step
         if not np.isfinite(curve) or high == low == middle:
             break
-        if not curve < 0.0:  # no top is near: on, up the slope
+        if not curve < 0.0:  # no top is near: go up the slope
             amount += farthest * float(np.sign(high - low))
             continue
         sigma = step / float(np.sqrt(-curve))
         change = float(np.clip(0.5 * step * (low - high) / curve, -farthest, farthest))
         amount += change
-        # Where the top is beyond what was tried, shorter steps would not get there.
+        # The top is beyond the tried amounts: shorter steps would not get there.
         if abs(change) > step:
             continue
         step = min(max(sigma, SMALLEST_STEP * step), step)

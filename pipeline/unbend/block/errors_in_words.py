@@ -1,7 +1,6 @@
-"""What an estimated mistake of a mission file amounts to, in one sentence with number and sigma.
+"""Estimated mistakes of a mission file in words: one sentence with number and sigma.
 
-A sentence is empty where the sigmas that are stated explain the amount, or where it matters to
-nobody.
+The sentence is empty if the stated sigmas explain the amount, or if it is too small to matter.
 """
 
 from __future__ import annotations
@@ -23,27 +22,30 @@ from unbend.block.possible_mistakes import (
 from unbend.flight.rotations import CAMERA_AT_REST
 from unbend.units import Array
 
-# What matters to nobody.
+# Smaller errors do not matter.
 SMALLEST_TURN_RAD = np.radians(0.3)
 SMALLEST_FOCAL = 0.01  # as a share
 SMALLEST_HEIGHT = 0.01  # as a share of the flying height
 SMALLEST_TIME_S = 0.1
 SMALLEST_DISTORTION = 0.0015  # as a share, in the corners of the image
 
-# As a share: principal points, distortions and mounts that are a little off as well move an
-# estimated principal distance by more than the sigma of its likelihood, which holds them.
+# Least uncertainty of an estimated principal distance, as a share. The sigma of its likelihood is
+# too small: small errors of principal points, distortions and mounts move the estimate more.
 CERTAIN_FOCAL = 0.005
 
-SLOWEST_M_S = 0.1  # of stations: hovering gives a time no sigma without end
-SAME_HEIGHT = 0.05  # of a height: a named one that is nearer is the likely one
-LARGEST_DATUM_M = 120.0  # that heights differ by from datum to datum: undulations reach 107 m
-LEAP_SECONDS = (17.0, 19.0)  # between which a delay is that of GPS time against UTC
+SLOWEST_M_S = 0.1  # lower limit of the speed, so that hovering gives a finite sigma of time
+SAME_HEIGHT = 0.05  # share of an error of height: a known cause within it explains the error
+LARGEST_DATUM_M = 120.0  # largest difference of two height datums: undulations reach 107 m
+LEAP_SECONDS = (17.0, 19.0)  # range of a delay that is GPS time minus UTC
 
 
 def error_in_words(
     mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection, sigma: float
 ) -> str:
-    """What a hypothesis estimates; ``sigma`` is that of its amount."""
+    """The sentence on a hypothesis at its estimated amount; empty if the error does not matter.
+
+    ``intersection`` is that of its reading, ``sigma`` the standard deviation of its amount.
+    """
     code = hypothesis.code
     if code == "TIES-MOUNT":
         return turn_in_words(mission, hypothesis, intersection)
@@ -64,18 +66,18 @@ def error_in_words(
 def turn_in_words(
     mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection
 ) -> str:
-    """The turn of a mount; the attitudes of its stations explain some of it."""
+    """The sentence on a turned mount; empty within the sigmas of attitudes and of the estimate."""
     camera = hypothesis.camera
     _, covariance = intersection.camera_rotation(camera)
     covariance = max(1.0, intersection.sigma_factor) ** 2 * covariance
     explained = stated_covariance(intersection.orientations, camera) + covariance
     turn = hypothesis.reading.turns[camera]
     vector = Rotation.from_matrix(turn).as_rotvec()
-    angle = float(np.linalg.norm(vector))
+    angle_rad = float(np.linalg.norm(vector))
     chi_square = vector @ np.linalg.solve(explained, vector)
-    if angle < SMALLEST_TURN_RAD or chi_square < EXPLAINED_SIGMAS**2:
+    if angle_rad < SMALLEST_TURN_RAD or chi_square < EXPLAINED_SIGMAS**2:
         return ""
-    angle_deg = np.degrees(angle)
+    angle_deg = np.degrees(angle_rad)
     sigma_deg = float(np.degrees(np.sqrt(np.diag(covariance).max())))
     text = f"{camera} is turned by {angle_deg:.2f} deg +- {sigma_deg:.2g} against the stated angles"
     if mission.mounts:
@@ -88,7 +90,10 @@ def turn_in_words(
 
 
 def stated_covariance(orientations: Orientations, camera: str) -> Array:
-    """(3, 3) what the stated sigmas of attitudes let all images of a camera be turned by."""
+    """(3, 3) mean covariance [rad^2] of the attitudes of a camera's images, in the camera.
+
+    From the stated sigmas, as if all images had the same error.
+    """
     of_camera = (orientations.camera == camera) & np.isfinite(orientations.centre_m[:, 0])
     ecef_from_enu = np.swapaxes(orientations.enu_from_ecef[of_camera], 1, 2)
     camera_from_enu = orientations.camera_from_ecef[of_camera] @ ecef_from_enu
@@ -99,7 +104,7 @@ def stated_covariance(orientations: Orientations, camera: str) -> Array:
 def focal_in_words(
     mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection, sigma: float
 ) -> str:
-    """Other principal distances; heights that are off together explain some of it."""
+    """The sentence on principal distances; empty within their sigmas and those of heights."""
     cameras = hypothesis.reading.cameras
     stated_px = np.array([mission.cameras[name].fx_px for name in hypothesis.cameras])
     estimated_px = np.array([cameras[name].fx_px for name in hypothesis.cameras])
@@ -118,7 +123,7 @@ def focal_in_words(
 
 
 def rounded(value: float, uncertainty: float) -> float:
-    """A number to the largest power of ten within its uncertainty.
+    """A number rounded to the largest power of ten that is not above its uncertainty (> 0).
 
     >>> rounded(20063.2, 100.3)
     20100.0
@@ -130,11 +135,11 @@ def rounded(value: float, uncertainty: float) -> float:
 
 
 def distortion_in_words(mission: StatedMission, hypothesis: PossibleMistake, sigma: float) -> str:
-    """Another radial distortion, if it matters in the corners of the image."""
+    """The sentence on radial distortions; empty if they do not matter in the image corners."""
     names = hypothesis.cameras
     stated_k1 = first_coefficients(mission.cameras, names)
     estimated_k1 = first_coefficients(hypothesis.reading.cameras, names)
-    diagonals = []  # of the images, as tangents
+    diagonals = []  # of the images, in units of the principal distance
     for name in names:
         camera = mission.cameras[name]
         diagonals.append(np.hypot(camera.width_px / camera.fx_px, camera.height_px / camera.fy_px))
@@ -151,7 +156,7 @@ def distortion_in_words(mission: StatedMission, hypothesis: PossibleMistake, sig
 def height_in_words(
     mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection, sigma: float
 ) -> str:
-    """Stations too low or too high, and what is known to make them so."""
+    """The sentence on stations that are too low or too high, with a known cause if there is one."""
     up_m = hypothesis.reading.up_m
     explained_m = explained_height_m(mission, intersection, sigma)
     if not abs(up_m) > max(SMALLEST_HEIGHT * intersection.flying_height_m, explained_m):
@@ -161,22 +166,22 @@ def height_in_words(
         f"the stations are {abs(up_m):.1f} m +- {sigma:.2g} too {direction} above the given "
         "heights of the ground"
     )
-    known = cause_of_height(mission, up_m, explained_m)
-    if known:
-        text += f", as if {known}"
+    cause = cause_of_height(mission, up_m, explained_m)
+    if cause:
+        text += f", as if {cause}"
     elif is_beyond_datums(mission, hypothesis, intersection, sigma):
         text += ", by more than a datum explains"
     return text
 
 
 def explained_height_m(mission: StatedMission, intersection: Intersection, sigma: float) -> float:
-    """By how much heights may be off [m] by their sigmas alone."""
+    """Error of all heights [m] that the sigmas of ground, stations and estimate explain."""
     shared_sigma_m = shared_height_sigma_m(mission, intersection)
     return EXPLAINED_SIGMAS * float(np.hypot(sigma, shared_sigma_m))
 
 
 def cause_of_height(mission: StatedMission, up_m: float, explained_m: float) -> str:
-    """What is known to make heights wrong by as much, in words; empty for nothing."""
+    """The known cause in words that is nearest to an error of heights; empty if none is near."""
     apart_m = {name: abs(named_m - up_m) for name, named_m in mission.other_heights_m.items()}
     nearest = min(apart_m, key=lambda name: apart_m[name], default="")
     if nearest and apart_m[nearest] < max(SAME_HEIGHT * abs(up_m), explained_m):
@@ -187,7 +192,7 @@ def cause_of_height(mission: StatedMission, up_m: float, explained_m: float) -> 
 def is_beyond_datums(
     mission: StatedMission, hypothesis: PossibleMistake, intersection: Intersection, sigma: float
 ) -> bool:
-    """Whether heights of the stations differ by more than another datum or feet explain."""
+    """Whether stations are off in height by more than another datum or feet explain."""
     if hypothesis.code != "TIES-HEIGHT":
         return False
     up_m = hypothesis.reading.up_m
@@ -202,8 +207,11 @@ def time_in_words(
     intersection: Intersection,
     sigma: float,
 ) -> str:
-    """Exposures at other times; positions along the flight explain some of it."""
-    moved_m = shifted(0.5).centre_m - shifted(-0.5).centre_m  # in a second
+    """The sentence on exposures at other times; empty within the sigmas along the flight.
+
+    ``shifted`` : as in `StatedMission`.
+    """
+    moved_m = shifted(0.5).centre_m - shifted(-0.5).centre_m  # in one second
     speed_m_s = max(float(np.nanmedian(np.linalg.norm(moved_m, axis=1))), SLOWEST_M_S)
     position_sigma_m = float(np.nanmedian(intersection.orientations.sigma[:, 0]))
     explained_s = EXPLAINED_SIGMAS * float(np.hypot(sigma, position_sigma_m / speed_m_s))
@@ -219,7 +227,7 @@ def time_in_words(
 
 
 def shared_height_sigma_m(mission: StatedMission, intersection: Intersection) -> float:
-    """What heights of the ground and of all stations may be off together."""
+    """Standard deviation [m] of an error that all heights of ground and stations share."""
     station_sigma_m = np.nanmedian(intersection.orientations.sigma[:, 2])
     return float(np.hypot(mission.sigma_heights_m, station_sigma_m))
 

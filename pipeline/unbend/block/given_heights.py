@@ -1,4 +1,4 @@
-"""Given heights of tie points against the heights at which their rays meet."""
+"""Compare given heights of tie points with the heights at which their rays meet."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ from unbend.units import Array
 
 MIN_GIVEN_HEIGHTS = 10  # fewer cannot tell a wrong zero from wrong points
 SIGMA_OF_MAD = 1.4826  # sigmas of a normal distribution in its median absolute deviation
-WILD_SIGMAS = 6.0  # a height farther from the middle of all does not count
-LARGEST_SCATTER = 0.03  # of the flying height, which no height may be off without a doubt
-WORSE_THAN_FLAT = 1.1  # of the relief: more than this is left than by one height for all
-FLAT = 0.002  # of the flying height: less left than this is not judged
+WILD_SIGMAS = 6.0  # heights that are farther from the median of all do not count
+LARGEST_SCATTER = 0.03  # of the flying height: allowed error of a given height
+WORSE_THAN_FLAT = 1.1  # of the relief: given heights that scatter more are useless
+FLAT = 0.002  # of the flying height: smaller scatters are not compared with the relief
 FAR_SHARE = 0.9  # quantile: a tenth of the points is farther
 
 
 def with_usable_heights(mission: StatedMission, intersection: Intersection) -> StatedMission:
-    """Given heights that are not wild beside the others, and the scatter of all about the rays."""
+    """The mission with its usable given heights, and their standard deviation.
+
+    Usable are heights within `WILD_SIGMAS` of the median difference to the rays. The standard
+    deviation is the larger one of the stated and of the scatter of these differences. With fewer
+    than `MIN_GIVEN_HEIGHTS` the mission stays as it is. ``intersection`` is that of the rays alone.
+    """
     rays = mission.rays(mission.cameras, {})
     if rays.height_m is None:
         return mission
@@ -39,11 +44,12 @@ def with_usable_heights(mission: StatedMission, intersection: Intersection) -> S
 def scattered_heights(
     mission: StatedMission, intersection: Intersection, sigma_factor: float
 ) -> str:
-    """Why given heights of single points are none of theirs; empty where stated sigmas explain it.
+    """The sentence on given heights that do not belong to their points; empty if they fit.
 
-    A tenth of them is then farther from where the rays meet than 3 % of the flying height, and than
-    sigmas explain, times the ``sigma_factor`` of the rays' own residuals; or they leave more of the
-    points' relief than one height for all does, as those of another place do.
+    They do not fit if a tenth of them is farther from where the rays meet than 3 % of the flying
+    height, and than the sigmas times ``sigma_factor`` (residuals of the rays over their sigmas)
+    explain. Or if they scatter more about the rays than one height for all points does, as heights
+    of another place.
     """
     rays = mission.rays(mission.cameras, {})
     if rays.height_m is None or mission.one_height or not intersection.used.any():
@@ -80,14 +86,15 @@ def scattered_heights(
 
 
 def heights_of_points(rays: ImageRays, height_m: Array) -> Array:
-    """(p,) the heights that are given with the first ray of each point."""
+    """(p,) the given height of each point: that of its first ray in ``height_m`` (r,)."""
     _, first_ray = np.unique(rays.point, return_index=True)
     return height_m[first_ray]
 
 
 def scatter_of(values: Array) -> float:
-    """What a tenth of the known values is away from their median at least; infinite of few."""
-    values = values[np.isfinite(values)]
-    if values.size < MIN_GIVEN_HEIGHTS:
+    """The distance from the median that a tenth of the known values exceeds; infinite for few."""
+    finite_values = values[np.isfinite(values)]
+    if finite_values.size < MIN_GIVEN_HEIGHTS:
         return np.inf
-    return float(np.quantile(np.abs(values - np.median(values)), FAR_SHARE))
+    from_median = np.abs(finite_values - np.median(finite_values))
+    return float(np.quantile(from_median, FAR_SHARE))

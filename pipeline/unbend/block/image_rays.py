@@ -1,7 +1,10 @@
-"""Rays of image points, sorted by their points: what does not change while points move.
+"""Rays of image points, sorted by their points, and the points where they meet.
 
-Exterior orientations of images and the straight rays that they measured become positions of the
-points (least squares of the angles across the rays), and derivatives of what the rays miss them by.
+From the exterior orientations of images and their straight rays: positions of the points (least
+squares of the angles across the rays), the misses (angles between a ray and its point), and the
+derivatives of the misses.
+
+Shapes: s stations (images), r rays, p points.
 """
 
 from __future__ import annotations
@@ -21,37 +24,33 @@ from unbend.refraction import refraction_angle
 from unbend.units import Array, Integers, Mask, Names
 
 MINIMUM_ANGLE_RAD = float(np.radians(3.0))
-"""Least angle between two rays of a point that is used."""
+"""A point is used if two of its rays have at least this angle."""
 
 LOWEST_GROUND_M = -600.0  # below every shore: rays that meet deeper are not straightened
-SMALLEST_COSINE = 0.05  # of the nadir angle of rays that are straightened: up to 87 degrees
+SMALLEST_COSINE = 0.05  # of the nadir angle: rays beyond 87 degrees are not straightened
 
 UNKNOWN_SIGMAS = (3.0, 3.0, 6.0, np.radians(1.0), np.radians(1.0), np.radians(3.0))
-"""East, north, up [m], tilts and yaw [rad] of a station that does not say: judgement."""
+"""Of a station without sigmas, by judgement: east, north, up [m], two tilts and yaw [rad]."""
 LEAST_SIGMAS = (1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6)
-"""The same of a station that states 0."""
+"""Lower limits of the same, for a station that states 0: misses are divided by sigmas."""
 
-NO_ROTATION = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z that stand for an unknown attitude
-NEAREST_M = 1e-3  # added to distances: no point is divided by zero
-RIDGE = 1e-12  # of the trace, added to normal equations of points: rays may be parallel
+NO_ROTATION = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z in the place of an unknown attitude
+NEAREST_M = 1e-3  # added to distances, so that none is zero
+RIDGE = 1e-12  # of the trace, added to the diagonal of normal equations: rays may be parallel
 
 
 @dataclass(frozen=True, eq=False)
 class Orientations:
-    """Exterior orientation of images; (s,) arrays, NaN centres where there is none.
+    """Exterior orientations of images."""
 
-    ``centre_m`` (s, 3) earth-centred (WGS84); ``camera_from_ecef`` and ``enu_from_ecef``
-    (s, 3, 3); ``sigma`` (s, 6) of east, north, up [m] and of rotations about these axes [rad].
-    """
-
-    camera: Names
-    centre_m: Array
-    camera_from_ecef: Array
-    enu_from_ecef: Array
-    sigma: Array
+    camera: Names  # (s,)
+    centre_m: Array  # (s, 3) projection centres, earth-centred (WGS84); NaN without orientation
+    camera_from_ecef: Array  # (s, 3, 3) to the camera: x right, y down, z forward
+    enu_from_ecef: Array  # (s, 3, 3) to east, north, up at the image
+    sigma: Array  # (s, 6) of east, north, up [m], and of rotations about these axes [rad]
 
     def assigned(self, row: Integers) -> Orientations:
-        """Orientations of images (k,), each that of a row, or none for -1: a hypothesis."""
+        """Orientations (k,) taken from the rows ``row`` (k,) of this; none where a row is -1."""
         has_row = row[:, None] >= 0
         centre = np.where(has_row, self.centre_m[row], np.nan)
         return Orientations(
@@ -63,14 +62,17 @@ class Orientations:
         )
 
     def turned(self, rotation: Array, camera: str) -> Orientations:
-        """With one camera turned by a rotation vector [rad] in its own frame (mount angles)."""
+        """The orientations with one camera turned by a rotation vector (3,) [rad] in its frame."""
         turn = Rotation.from_rotvec(rotation).as_matrix()
         of_camera = (self.camera == camera)[:, None, None]
         turned = np.where(of_camera, turn @ self.camera_from_ecef, self.camera_from_ecef)
         return replace(self, camera_from_ecef=turned)
 
     def turns_of(self, camera: str) -> Array:
-        """(s, 6, 3) what a unit of `turned` is to the stations of a camera, as `sigma`."""
+        """(s, 6, 3) change of each station, along the axes of ``sigma``, if a camera is turned.
+
+        Column i is the change by 1 rad about axis i of the camera (`turned`); 0 for other cameras.
+        """
         change = np.zeros((self.camera.size, 6, 3))
         ecef_from_camera = np.swapaxes(self.camera_from_ecef, 1, 2)
         change[:, 3:] = self.enu_from_ecef @ ecef_from_camera
@@ -81,10 +83,11 @@ class Orientations:
 def orientations_of(
     stations: Stations, unknown_sigmas: tuple[float, ...] = UNKNOWN_SIGMAS
 ) -> Orientations:
-    """Orientations of stations, NaN where not ok; a sigma not stated is ``unknown_sigmas``'.
+    """Orientations of stations; none (NaN centres) for stations that are not ok.
 
-    One that is stated as 0 is 1 mm or 1 microradian: residuals are counted in units of it. Heights
-    count from mean sea level where only that is known: rays meet as well.
+    Sigmas that are not stated are ``unknown_sigmas`` (6,), in the order of `UNKNOWN_SIGMAS`; all
+    are at least `LEAST_SIGMAS`. Where only heights above mean sea level are known, they are used in
+    the place of ellipsoidal ones: the rays meet as well.
     """
     h_ellipsoid_m = stations.h_ellipsoid_m
     h_m = np.where(np.isfinite(h_ellipsoid_m), h_ellipsoid_m, stations.h_msl_m)
@@ -118,22 +121,17 @@ def orientations_of(
 
 @dataclass(frozen=True, eq=False)
 class ImageRays:
-    """Straight rays (r,): row of the image, number of the point, direction in the camera.
+    """Rays of image points, in any order."""
 
-    ``direction`` (r, 3) with the camera's x right, y down, z forward, unit length;
-    ``sigma_rad`` (r,) or one: the pixel's, across the ray. ``height_m`` (r,) given height of the
-    point above the ellipsoid, NaN where unknown, with ``sigma_height_m``.
-    """
-
-    image: Integers
-    point: Integers
-    direction: Array
-    sigma_rad: float | Array
-    height_m: Array | None = None
-    sigma_height_m: float = 1.0
+    image: Integers  # (r,) row of the image in `Orientations`
+    point: Integers  # (r,) number of the point
+    direction: Array  # (r, 3) unit vectors in the camera: x right, y down, z forward
+    sigma_rad: float | Array  # (r,) or one: of a pixel, across the ray
+    height_m: Array | None = None  # (r,) given height of the point above the ellipsoid, or NaN
+    sigma_height_m: float = 1.0  # of a given height
 
     def of_points(self, points: Integers) -> ImageRays:
-        """The rays of some points."""
+        """The rays of some points, by the numbers of these."""
         keep = np.isin(self.point, points)
         height_m = None
         if self.height_m is not None:
@@ -150,50 +148,54 @@ class ImageRays:
 
 @dataclass(frozen=True, eq=False)
 class RayMisses:
-    """What rays miss points by, in sigmas of their pixels, and what changes it.
+    """Angles between rays and their points along x and y, in sigmas, and their derivatives.
 
     Rays that are not good have zeros.
     """
 
-    sigma: Array  # (r,) of the rays [rad]
-    miss: Array  # (r, 2)
+    sigma: Array  # (r,) of the rays across [rad]
+    miss: Array  # (r, 2) ray minus direction to the point
     point_derivatives: Array  # (r, 2, 3) derivatives by the position of the point [m]
     station_derivatives: Array  # (r, 2, 6) by the errors of the station, in units of their sigmas
 
 
 @dataclass(frozen=True, eq=False)
 class SortedRays:
-    """Rays sorted by their points: (r, ...) arrays of what does not change while points move."""
+    """Rays sorted by their points, with all that does not change while points move."""
 
-    order: Integers
-    image: Integers
-    index: Integers  # which point
-    start: Integers  # (p,) the first ray of each point
-    sigma: Array
-    oriented: Mask
-    centre: Array  # (r, 3) from `origin`
-    direction: Array  # (r, 3) earth-centred
+    order: Integers  # (r,) row of the sorted rays in `ImageRays`
+    image: Integers  # (r,) row of the image in `Orientations`
+    index: Integers  # (r,) row of the point, 0 to p - 1
+    start: Integers  # (p,) row of the first ray of each point
+    sigma: Array  # (r,) of the pixel, across the ray [rad]
+    oriented: Mask  # (r,) the image has an orientation, and the ray a direction
+    centre: Array  # (r, 3) projection centre minus ``origin`` [m], earth-centred axes
+    direction: Array  # (r, 3) unit vectors, earth-centred axes
     across: Array  # (r, 2, 3) unit vectors along the image's x and y, across the ray
-    origin: Array
-    height: Array  # (p,) given, NaN where unknown
-    sigma_height: float
+    origin: Array  # (3,) mean of the projection centres [m], earth-centred
+    height: Array  # (p,) given height above the ellipsoid [m], NaN where unknown
+    sigma_height: float  # of a given height [m]
 
     def sums(self, values: NDArray[Any]) -> NDArray[Any]:
-        """(p, ...) sums over the rays of each point."""
+        """(p, ...) sums of values (r, ...) over the rays of each point."""
         return np.asarray(np.add.reduceat(values, self.start, axis=0))
 
     @cached_property
     def squares(self) -> tuple[Array, Array]:
-        """(r, 3, 3) sums of the squares of ``across``, and their products with the centres."""
+        """(r, 3, 3) A'A of each ray, with A = ``across``, and (r, 3) A'A times the centre."""
         square = np.swapaxes(self.across, 1, 2) @ self.across
         return square, np.einsum("rij,rj->ri", square, self.centre)
 
     def positions(self, good: Mask) -> Array:
-        """(p, 3) points by least squares of the angles across their good rays."""
+        """(p, 3) positions minus ``origin`` [m] that miss the good rays least (least squares).
+
+        Angles across the rays are minimised. The position of a point with fewer than two good rays
+        has no meaning.
+        """
         square, moment = self.squares
         too_few = self.sums(good * 1.0) < 2
         distance = np.ones(self.sigma.shape)
-        for _ in range(3):  # the weights follow from the distances
+        for _ in range(3):  # weights depend on the distances of the points
             weight = np.where(good, (self.sigma * distance) ** -2.0, 0.0)
             normal = self.sums(weight[:, None, None] * square)
             size = np.trace(normal, axis1=1, axis2=2) + too_few
@@ -205,7 +207,11 @@ class SortedRays:
         return np.asarray(position, np.float64)
 
     def angles(self, good: Mask) -> Array:
-        """(p,) largest angle [rad] between two good rays, by going twice to the farthest."""
+        """(p,) about the largest angle [rad] between two good rays of each point; 0 without any.
+
+        It is the angle of the ray that is farthest from the first one to the ray that is farthest
+        from that.
+        """
         no_ray = 2.0  # larger than any cosine
         reference = self.direction[self.start[self.index]]
         for _ in range(2):
@@ -214,23 +220,24 @@ class SortedRays:
             least = np.minimum.reduceat(cosine, self.start)
             farthest = np.flatnonzero(cosine == least[self.index])
             points = np.arange(self.start.size)
-            first = np.searchsorted(self.index[farthest], points)
-            reference = self.direction[farthest[first]][self.index]
+            one_of_point = np.searchsorted(self.index[farthest], points)
+            reference = self.direction[farthest[one_of_point]][self.index]
         largest = np.arccos(np.clip(least, -1.0, 1.0))
         return np.where(least < no_ray, largest, 0.0)
 
     def misses(self, orientations: Orientations, position: Array, good: Mask) -> RayMisses:
-        """What good rays miss points (p, 3) by, and what changes it."""
+        """Misses of the good rays at points (p, 3), given minus ``origin`` [m]."""
         line = position[self.index] - self.centre
         distance = np.linalg.norm(line, axis=1) + NEAREST_M
         toward_point = line / distance[:, None]
         enu_from_ecef_of_ray = orientations.enu_from_ecef[self.image]
         sigma_of_station = orientations.sigma[self.image]
-        # A rotation is linear up to the square of its angle, which is added to the pixel's sigma.
+        # In second order a rotation w turns a ray d by (w d) w / 2 across: along each of two axes
+        # its variance is 1/8 of the variances of w along and across d. It is added to the pixel's.
         variance = sigma_of_station[:, 3:] ** 2
-        along = np.einsum("rij,rj->ri", enu_from_ecef_of_ray, toward_point) ** 2
-        curved = np.sum(variance * along, axis=1) * np.sum(variance * (1.0 - along), axis=1)
-        sigma = np.hypot(self.sigma, np.sqrt(curved / 8.0))
+        cosine2 = np.einsum("rij,rj->ri", enu_from_ecef_of_ray, toward_point) ** 2
+        product = np.sum(variance * cosine2, axis=1) * np.sum(variance * (1.0 - cosine2), axis=1)
+        sigma = np.hypot(self.sigma, np.sqrt(product / 8.0))
         weight = np.where(good, 1.0 / sigma, 0.0)[:, None, None]
         point_derivatives = weight * self.across / distance[:, None, None]
         turned = -np.cross(self.across, toward_point[:, None, :])  # across @ [toward_point]x
@@ -249,7 +256,7 @@ class SortedRays:
 
 
 def axes_across(direction: Array) -> Array:
-    """(r, 2, 3) unit vectors along the image's x and y, across rays in the camera (r, 3)."""
+    """(r, 2, 3) unit vectors across rays in the camera (r, 3), nearest to the image's x and y."""
     x = np.array([1.0, 0.0, 0.0]) - direction[:, :1] * direction
     length = np.linalg.norm(x, axis=1, keepdims=True)
     x /= np.maximum(length, 1e-9)
@@ -258,7 +265,7 @@ def axes_across(direction: Array) -> Array:
 
 
 def sorted_rays(orientations: Orientations, rays: ImageRays) -> SortedRays:
-    """Rays by their points, under some orientations."""
+    """Rays sorted by the numbers of their points, then by images, with their orientations."""
     order = np.lexsort((rays.image, rays.point))
     image = rays.image[order]
     in_camera = np.nan_to_num(rays.direction[order])
@@ -291,39 +298,43 @@ def sorted_rays(orientations: Orientations, rays: ImageRays) -> SortedRays:
 
 @lru_cache(1)
 def usual_air() -> Profile:
-    """us1976 as one object, which is tabulated once."""
+    """The standard atmosphere us1976; always the same object, so that it is tabulated once."""
     return standard_atmosphere("us1976")
 
 
 def straightened(orientations: Orientations, rays: ImageRays) -> ImageRays:
-    """Apparent rays as the straight chords that they bend about, under some orientations.
+    """Apparent rays turned to the straight chords from camera to point.
 
-    Refraction of us1976 (spherical, radius 6,371 km) between the heights of camera and point is
-    removed: given heights, else those at which the apparent rays meet. That of a day differs by
-    some 1e-5 rad at 45 degrees. What has no orientation, or no ground below it, stays.
+    The refraction of us1976 (spherical, radius 6,371 km) between the heights of camera and point is
+    removed; refraction on a day differs from it by some 1e-5 rad at 45 degrees. Points without a
+    given height have that at which the apparent rays meet. Rays without an orientation, or without
+    ground below, stay as they are.
     """
     by_point = sorted_rays(orientations, rays)
     h_c = ellipsoidal_heights(by_point.centre + by_point.origin)
-    met = ellipsoidal_heights(by_point.positions(by_point.oriented) + by_point.origin)
-    h_g = np.where(np.isfinite(by_point.height), by_point.height, met)[by_point.index]
+    h_met = ellipsoidal_heights(by_point.positions(by_point.oriented) + by_point.origin)
+    h_g = np.where(np.isfinite(by_point.height), by_point.height, h_met)[by_point.index]
     down = -orientations.enu_from_ecef[by_point.image, 2]
     cosine = np.sum(down * by_point.direction, axis=1)
     ground_below = (h_g > LOWEST_GROUND_M) & (h_g < h_c)
-    bends = by_point.oriented & ground_below & (cosine > SMALLEST_COSINE)
-    zeta_c = np.arccos(np.clip(cosine[bends], -1.0, 1.0))
+    is_bent = by_point.oriented & ground_below & (cosine > SMALLEST_COSINE)
+    zeta_c = np.arccos(np.clip(cosine[is_bent], -1.0, 1.0))
     r_c = np.zeros(cosine.shape)
-    r_c[bends] = np.nan_to_num(refraction_angle(usual_air(), h_c[bends], h_g[bends], zeta_c))
+    r_c[is_bent] = np.nan_to_num(refraction_angle(usual_air(), h_c[is_bent], h_g[is_bent], zeta_c))
     straight = turned_toward(by_point.direction, down, cosine, r_c)
 
     camera_from_ecef = orientations.camera_from_ecef[by_point.image]
-    as_given = np.argsort(by_point.order)
+    as_given = np.argsort(by_point.order)  # from the sorted order to that of ``rays``
     direction = np.einsum("rij,rj->ri", camera_from_ecef, straight)[as_given]
-    changed = bends[as_given]
+    changed = is_bent[as_given]
     return replace(rays, direction=np.where(changed[:, None], direction, rays.direction))
 
 
 def turned_toward(direction: Array, axis: Array, cosine: Array, angle_rad: Array) -> Array:
-    """(n, 3) unit vectors turned toward an axis (n, 3), to which they have a cosine (n,)."""
+    """(n, 3) unit vectors ``direction`` turned by ``angle_rad`` (n,) toward unit vectors ``axis``.
+
+    ``cosine`` (n,) is that of the angle between both.
+    """
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 1e-30))
     across = (axis - cosine[:, None] * direction) / sine[:, None]
     along_direction = direction * np.cos(angle_rad)[:, None]

@@ -1,13 +1,13 @@
-"""Points from the rays of several images, the stations held: do the rays meet as the sigmas say?
+"""Points from the rays of several images with fixed stations, and a test of the residuals.
 
 How to use it::
 
     stations = orientations_of(stations_of_the_flight)         # or Orientations(...) directly
     rays = ImageRays(image, point, direction, sigma_rad)            # straight, corrected rays
-    found = intersect(stations, rays)
-    found.log_likelihood, found.sigma_factor, found.camera_rotation("nadir")
-    other = intersect(stations.assigned(event_of_image), rays)   # a hypothesis
-    found.log_likelihood - other.log_likelihood                # its likelihood ratio
+    stated = intersect(stations, rays)
+    stated.log_likelihood, stated.sigma_factor, stated.camera_rotation("nadir")
+    other = intersect(stations.assigned(event_of_image), rays)  # a hypothesis
+    stated.log_likelihood - other.log_likelihood               # logarithm of the likelihood ratio
 
 There is no bundle adjustment: stations stay, points are intersected by least squares.
 Errors of a station are shared by all rays of its image, and a point passes them on to the rays of
@@ -44,49 +44,46 @@ from unbend.block.linear_system import (
 from unbend.geodesy import geodetic_of_ecef
 from unbend.units import Array, Integers, Mask
 
-LOG_BAD = np.log(0.02)  # one tie point in fifty is bad ...
-WIDTH_OF_BAD_RAD = 0.5  # ... and anywhere within half a radian
-NEAREST_SIGMAS = 3.0  # of a station's place: no point is nearer
-MAX_SEARCHES = 3  # for bad rays: without one, others stand out
-MIN_SHARE_LEFT = 1e-9  # of a change: less than this beside others is what those do already
+LOG_BAD = np.log(0.02)  # prior: one tie point in fifty is bad ...
+WIDTH_OF_BAD_RAD = 0.5  # ... and its ray is anywhere within half a radian
+NEAREST_SIGMAS = 3.0  # sigmas of a station's position: no point is nearer to the station
+MAX_SEARCHES = 3  # for bad rays: without one of them, others stand out
+MIN_SHARE_LEFT = 1e-9  # of a change that shared errors do not explain: less is rounding
 
 
 @dataclass(frozen=True, eq=False)
 class Intersection:
-    """Intersected points (p,) and the residuals of their rays (r,), in the order they came.
+    """Intersected points (p,) and the residuals of their rays (r,), in the order of `ImageRays`.
 
-    ``position_m`` (p, 3) earth-centred, NaN where ``used`` is False: fewer than two good rays with
-    a station, all within the minimum angle, or behind a camera. ``residual_rad`` (r, 2) measured
-    minus intersected along the image's x and y; ``bad`` (r,) rays that contradict the others of
-    their point by more than any station error can. ``chi_square`` has ``redundancy`` degrees of
-    freedom; ``log_likelihood`` is natural, up to a constant of the rays given, with a common factor
-    of all sigmas at its best (at least 1): too small sigmas do not make it too certain. Rays that
-    meet exactly are more likely by ``misfit``.
+    A point is ``used`` if it has two good rays with a station, not all within the minimum angle,
+    and is in front of the cameras. ``log_likelihood`` is a natural logarithm, up to a constant of
+    the given rays. All sigmas are multiplied by the factor of at least 1 that makes it largest: so
+    sigmas that are too small do not make it too certain.
     """
 
     orientations: Orientations
-    point: Integers
-    position_m: Array
-    angle_rad: Array
-    used: Mask
-    residual_rad: Array
-    bad: Mask
+    point: Integers  # (p,) numbers of the points, ascending
+    position_m: Array  # (p, 3) earth-centred, NaN for points that are not used
+    angle_rad: Array  # (p,) largest angle between two rays
+    used: Mask  # (p,)
+    residual_rad: Array  # (r, 2) measured minus intersected along the image's x and y, or NaN
+    bad: Mask  # (r,) rays that contradict the others of their point more than station errors can
     chi_square: float
-    redundancy: int
+    redundancy: int  # degrees of freedom of ``chi_square``
     log_likelihood: float
-    misfit: float
+    misfit: float  # log likelihood of rays that meet exactly, minus that of these rays
     system: ReducedSystem
 
     @property
     def sigma_factor(self) -> float:
-        """Square root of chi-square over redundancy: 1 where the sigmas are right."""
+        """Square root of chi-square over redundancy: about 1 if the sigmas are right, or NaN."""
         if self.redundancy == 0:
             return np.nan
         return float(np.sqrt(self.chi_square / self.redundancy))
 
     @property
-    def most_bad(self) -> float:
-        """Share of the bad rays of the camera with most."""
+    def largest_bad_share(self) -> float:
+        """Share of bad rays among the rays of a camera: the largest of all cameras."""
         camera_of_ray = self.orientations.camera[self.system.image].astype(str)
         _, camera = np.unique(camera_of_ray, return_inverse=True)
         bad_rays = np.bincount(camera, self.bad[self.system.order])
@@ -99,7 +96,10 @@ class Intersection:
 
     @property
     def flying_height_m(self) -> float:
-        """Median height of the stations above the points [m]; mirrored rays meet above them."""
+        """Median height of the stations above the mean of the used points [m].
+
+        Negative if mirrored rays meet above the stations; infinite without points.
+        """
         if not self.used.any():
             return np.inf
         middle_m = self.position_m[self.used].mean(axis=0)
@@ -110,7 +110,10 @@ class Intersection:
 
     @cached_property
     def sigma_height_m(self) -> Array:
-        """(p,) what the sigmas of stations and pixels predict for the heights of the points."""
+        """(p,) sigma of the height of each point [m], from the sigmas of stations and pixels.
+
+        NaN for points that are not used.
+        """
         _, up = heights_and_verticals(self.position_m)
         up = np.nan_to_num(up)
         # half_inverse is L^-1 of a point's normal equations N = L L': (L^-1 up)^2 = up' N^-1 up.
@@ -125,29 +128,31 @@ class Intersection:
         return np.where(self.used, np.sqrt(variance), np.nan)
 
     def shared_errors(self, change: Array) -> tuple[Array, Array]:
-        """Least-squares errors (k,) that many stations share, and their covariance (k, k).
+        """Estimates (k,) of errors that many stations share, and their covariance (k, k).
 
-        ``change`` (s, 6, k) is what a unit of each does to a station, by the axes of
-        `Orientations.sigma`; the single errors of the stations are beside them. The covariance is
-        that of the sigmas stated; of what nothing shows both are zero.
+        ``change`` (s, 6, k) is the change of each station by a unit of each error, along the axes
+        of `Orientations.sigma`. The errors are fitted by least squares together with the errors of
+        each station. The covariance follows from the stated sigmas; estimate and covariance are
+        zero for an error that no ray shows.
         """
-        scaled = self.in_sigmas(change)
+        scaled = self.station_changes_in_sigmas(change)
         free = scaled - self.system.factor.solve(scaled)
         normal = scaled.T @ free
         covariance = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         right = scaled.T @ self.system.errors
         return covariance @ right, covariance
 
-    def likely_amounts(self, changes: Array, beside: Array) -> tuple[Array, Array]:
-        """What the log likelihood gains (k,) by each change alone, and its amount: least squares.
+    def likely_amounts(self, changes: Array, shared: Array) -> tuple[Array, Array]:
+        """Gain of the log likelihood (k,) by each of k changes alone, and its best amount (k,).
 
-        ``changes`` (r, 2, k) [rad] is what a unit of each adds to `misses`; ``beside`` (s, 6, b)
-        are errors that stations share (`shared_errors`), estimated with each. Linear.
+        Linear least squares. ``changes`` (r, 2, k) [rad] is what a unit of each adds to `misses`.
+        ``shared`` (s, 6, b) are errors that stations share, as in `shared_errors`; they are
+        estimated together with each change.
         """
         system = self.system
         count = changes.shape[2]
-        of_shared = system.J @ self.in_sigmas(beside)
-        design = np.concatenate([self.of_changes(changes), of_shared], axis=1)
+        of_shared = system.J @ self.station_changes_in_sigmas(shared)
+        design = np.concatenate([self.ray_changes_in_sigmas(changes), of_shared], axis=1)
         # Normal equations with the points and the single errors of stations taken out.
         free = design - system.Y @ (system.Y.T @ design)
         by_stations = system.J.T @ free
@@ -164,8 +169,11 @@ class Intersection:
         right = right[:count] - to_shared @ right[count:]
         return self.gain_of(right**2 / square), -right / square
 
-    def of_changes(self, changes: Array) -> Array:
-        """Changes (r, 2, k) [rad] of misses in the rows of the system, in sigmas."""
+    def ray_changes_in_sigmas(self, changes: Array) -> Array:
+        """Changes (r, 2, k) [rad] of misses, divided by sigmas, in the rows of the system.
+
+        The rows of given heights have zeros.
+        """
         system = self.system
         count = changes.shape[2]
         in_sigmas = changes[system.order] / system.sigma[:, None, None]
@@ -174,18 +182,23 @@ class Intersection:
         of_heights = np.zeros((heights, count))
         return np.concatenate([of_rays, of_heights])
 
-    def in_sigmas(self, change: Array) -> Array:
-        """Changes (s, 6, k) of stations as columns (6 s, k), in units of their sigmas."""
+    def station_changes_in_sigmas(self, change: Array) -> Array:
+        """Changes (s, 6, k) of stations divided by their sigmas, as columns (6 s, k)."""
         in_sigmas = change / self.orientations.sigma[:, :, None]
         return np.asarray(in_sigmas.reshape(self.orientations.sigma.size, change.shape[2]))
 
     def gain_of(self, decrease: Array) -> Array:
-        """What the log likelihood gains where chi-square decreases by a little."""
+        """Gain of the log likelihood if chi-square decreases by a small amount."""
         factor = np.fmax(1.0, self.sigma_factor)
         return np.asarray(0.5 * decrease / factor**2)
 
     def misses(self, orientations: Orientations, rays: ImageRays) -> Array:
-        """(r, 2) what its points are missed by under other orientations or rays [rad]; 0 of bad."""
+        """(r, 2) misses [rad] of these points under other orientations and rays.
+
+        A miss is ray minus direction to the point, along the image's x and y. ``rays`` are the same
+        image points in the same order, for example with another camera. 0 for rays without a
+        residual: bad ones, and those of points that are not used.
+        """
         good = np.isfinite(self.residual_rad[:, 0])
         row = np.searchsorted(self.point, rays.point)
         line = self.position_m[row] - orientations.centre_m[rays.image]
@@ -196,42 +209,38 @@ class Intersection:
         return np.where(good[:, None], miss, 0.0)
 
     def camera_rotation(self, camera: str) -> tuple[Array, Array]:
-        """By what rotation vector [rad] a camera would have to be turned (`Orientations.turned`).
+        """The rotation vector (3,) [rad] of a camera that makes the residuals least.
 
-        In its own frame (3,), for the residuals to be least, with the covariance (3, 3).
+        In the frame of the camera, as `Orientations.turned` takes it; with its covariance (3, 3).
         """
         return self.shared_errors(self.orientations.turns_of(camera))
 
 
 @dataclass(frozen=True, eq=False)
 class PointFit:
-    """Points at the best positions for some good rays, and the system there.
+    """Points at their best positions for the good rays, and the linear system there."""
 
-    ``good`` (r,) leaves out the rays of points that are not fitted; ``count`` (p,) are the others.
-    """
-
-    position: Array  # (p, 3) from the origin of the sorted rays
+    position: Array  # (p, 3) minus the origin of the sorted rays [m]
     angle: Array  # (p,) largest between two rays [rad]
-    good: Mask
-    count: Integers
+    good: Mask  # (r,) good rays of points that are fitted, in the order of the sorted rays
+    count: Integers  # (p,) number of these rays: 0 for a point that is not fitted
     system: ReducedSystem
 
 
 def intersect(
     orientations: Orientations, rays: ImageRays, *, minimum_angle_rad: float = MINIMUM_ANGLE_RAD
 ) -> Intersection:
-    """Intersect the rays of each point with the stations held, and judge their residuals.
+    """Intersect the rays of each point with fixed stations, and test their residuals.
 
-    All that changes the rays or the stations is a hypothesis whose ``log_likelihood`` may be
-    compared with others of the same rays: another assignment (`Orientations.assigned`), mount
-    (`turned`), focal length or time offset. Rays of images without orientation count as bad ones.
-    Linear in the errors of stations. What the second order of an attitude's error makes, about the
-    square of its sigma [rad], is added in quadrature to the sigma of a ray; it matters from about a
-    degree.
+    Two hypotheses about the same image points may be compared by ``log_likelihood``: another
+    assignment (`Orientations.assigned`), mount (`Orientations.turned`), focal length or time
+    offset. Rays of images without orientation count as bad ones. Linear in the errors of stations;
+    the second order of an attitude's error, about the square of its sigma [rad], is added in
+    quadrature to the sigma of a ray, and matters from about a degree.
     """
     by_point = sorted_rays(orientations, rays)
     bad = np.zeros(by_point.sigma.shape, np.bool_)
-    contradicted_points = 0  # in all rounds
+    contradicted_points = 0  # sum over all searches
     fit = fitted_points(by_point, orientations, by_point.oriented, minimum_angle_rad)
     for _ in range(MAX_SEARCHES):
         contradicting = contradicting_rays(by_point, fit)
@@ -246,8 +255,8 @@ def intersect(
     redundancy = redundancy_of(fit.count, has_height)
     chi_square = float(system.remaining @ system.remaining + system.errors @ system.errors)
     misfit = misfit_of(chi_square, redundancy)
-    given = by_point.sums(np.ones(by_point.sigma.size, np.int64))
-    lost = redundancy_of(given, has_height) - redundancy
+    given_count = by_point.sums(np.ones(by_point.sigma.size, np.int64))
+    lost = redundancy_of(given_count, has_height) - redundancy
     misfit += lost * log_width_of_bad(by_point) - contradicted_points * LOG_BAD
     as_given = np.argsort(by_point.order)
     used = fit.count >= 2
@@ -268,20 +277,26 @@ def intersect(
 
 
 def redundancy_of(count: Integers, has_height: Mask) -> int:
-    """Degrees of freedom of points with a number of rays (p,), of which two determine one."""
+    """Degrees of freedom of points with ``count`` (p,) rays; 0 for points with fewer than two.
+
+    A ray gives two equations, a given height one; a point has three unknowns.
+    """
     of_points = 2 * count - 3 + has_height
     return int(np.sum(of_points[count >= 2]))
 
 
 def misfit_of(chi_square: float, redundancy: int) -> float:
-    """By how much exact rays are more likely; all sigmas may have a factor of 1 or more."""
+    """Log likelihood of rays that meet exactly, minus that of rays with this chi-square.
+
+    For the latter all sigmas have the likeliest common factor of at least 1.
+    """
     factor_squared = max(1.0, chi_square / max(1, redundancy))
     excess = redundancy * np.log(factor_squared)
     return float(0.5 * (min(chi_square, redundancy) + excess))
 
 
 def log_determinant_of_images(system: ReducedSystem) -> float:
-    """Sum over the images of log det (I + J'J), each by itself."""
+    """Sum over the images of log det (I + J'J), with the 6 x 6 block of each image."""
     blocks = system.JJ.tobsr((6, 6)).data
     _, log_determinant = np.linalg.slogdet(blocks + np.eye(6))
     return float(log_determinant.sum())
@@ -290,19 +305,19 @@ def log_determinant_of_images(system: ReducedSystem) -> float:
 def fitted_points(
     by_point: SortedRays, orientations: Orientations, good: Mask, minimum_angle_rad: float
 ) -> PointFit:
-    """Points where good rays meet best.
+    """Fit each point to its good rays.
 
-    Not of rays that are all within the minimum angle, nor of those that meet behind a camera or
-    nearer to it than its place is known.
+    Not fitted are points with fewer than two good rays, with all of them within the minimum angle,
+    behind a camera, or nearer to a station than `NEAREST_SIGMAS` of its position.
     """
     position = by_point.positions(good)
     angle = by_point.angles(good)
     line = position[by_point.index] - by_point.centre
     ahead = np.sum(line * by_point.direction, axis=1)
     too_near = ahead <= NEAREST_SIGMAS * orientations.sigma[by_point.image, 0]
-    meet = (angle >= minimum_angle_rad) & (by_point.sums(good & too_near) == 0)
-    meet &= by_point.sums(good * 1) >= 2
-    good = good & meet[by_point.index]
+    is_fitted = (angle >= minimum_angle_rad) & (by_point.sums(good & too_near) == 0)
+    is_fitted &= by_point.sums(good * 1) >= 2
+    good = good & is_fitted[by_point.index]
     return PointFit(
         position=position,
         angle=angle,
@@ -313,10 +328,11 @@ def fitted_points(
 
 
 def contradicting_rays(by_point: SortedRays, fit: PointFit) -> Mask:
-    """(r,) of each point the ray that contradicts the others most, if it is a bad one.
+    """(r,) the ray of each point that contradicts the others most, if it is a bad one.
 
-    It is, if chi-square loses more without it than a bad one is improbable by; of two rays both
-    are.
+    It is bad if chi-square decreases without it by more than the price of a bad ray (`LOG_BAD`,
+    `WIDTH_OF_BAD_RAD`). Decreases are divided by the usual chi-square of a point over its expected
+    median, if that is above 1. Of a point with two rays both are bad, or none.
     """
     of_point = by_point.index
     remaining = fit.system.of_rays(fit.system.remaining)
@@ -329,9 +345,9 @@ def contradicting_rays(by_point: SortedRays, fit: PointFit) -> Mask:
         usual = max(usual, float(np.median(over_median)))
 
     half = fit.system.Y.data[: 6 * by_point.sigma.size].reshape(-1, 2, 3)
-    free = (1.0 + 1e-9) * np.eye(2) - half @ np.swapaxes(half, 1, 2)
+    free = (1.0 + 1e-9) * np.eye(2) - half @ np.swapaxes(half, 1, 2)  # 1e-9: never singular
     without_ray = np.linalg.solve(free, remaining[..., None])[..., 0]
-    loss = np.sum(remaining * without_ray, axis=1)
+    loss = np.sum(remaining * without_ray, axis=1)  # of chi-square without the ray
     has_others = fit.count > 2
     loss = np.where(has_others[of_point], loss, square_of_point[of_point]) / usual
     freedom_lost = np.where(has_others, 2, 1)[of_point]
@@ -341,7 +357,7 @@ def contradicting_rays(by_point: SortedRays, fit: PointFit) -> Mask:
 
 
 def log_width_of_bad(by_point: SortedRays) -> float:
-    """How much wider than its sigma a bad ray may lie, as a natural logarithm."""
+    """Logarithm of the width of bad rays over the median sigma of the rays."""
     if by_point.sigma.size == 0:
         return 0.0
     usual_sigma = np.median(by_point.sigma)
@@ -349,25 +365,20 @@ def log_width_of_bad(by_point: SortedRays) -> float:
 
 
 LARGEST_MISS = 6.0
-"""A point has no height whose rays miss it by more than this many times what their sigmas say."""
+"""A point has no height if its rays miss it by more than so many sigmas (root mean square)."""
 
 
 @dataclass(frozen=True, eq=False)
 class PointHeights:
-    """Heights of points above the ellipsoid [m] and their standard deviations, (p,) each.
+    """Heights of points above the ellipsoid; NaN for points that are few, narrow or apart."""
 
-    NaN where ``few`` (fewer than two rays with a station), ``narrow`` (all within the minimum
-    angle, or behind a camera) or ``apart`` (the rays miss each other) says why. ``index`` (r,) is
-    the point of each ray in the order they came; ``position_m`` (p, 3) is earth-centred.
-    """
-
-    h_m: Array
-    sigma_m: Array
-    position_m: Array
-    index: Integers
-    few: Mask
-    narrow: Mask
-    apart: Mask
+    h_m: Array  # (p,)
+    sigma_m: Array  # (p,) standard deviations of ``h_m``
+    position_m: Array  # (p, 3) earth-centred
+    index: Integers  # (r,) row of the point of each ray, in the order of `ImageRays`
+    few: Mask  # (p,) fewer than two rays with a station
+    narrow: Mask  # (p,) all rays within the minimum angle, or the point behind a camera
+    apart: Mask  # (p,) the rays miss the point by more than `LARGEST_MISS`
 
 
 def point_heights(
@@ -375,9 +386,9 @@ def point_heights(
 ) -> PointHeights:
     """The heights at which the rays of each point meet best.
 
-    Least squares under the covariance that the sigmas of pixels and stations give each ray, each of
-    another image. ``sigma_m`` is what these sigmas give the height, enlarged where the rays miss by
-    more than they say. The time goes with the number of rays.
+    Least squares with the covariance of each ray that follows from the sigmas of pixel and station;
+    the rays of a point are taken as independent. ``sigma_m`` follows from these sigmas, and is
+    enlarged if the rays miss by more. The time grows with the number of rays.
     """
     by_point = sorted_rays(orientations, rays)
     good = by_point.oriented
@@ -404,7 +415,7 @@ def point_heights(
 
 
 def meet_behind(by_point: SortedRays, position: Array, good: Mask) -> Mask:
-    """(p,) points behind the camera of a good ray."""
+    """(p,) whether a point is behind the camera of a good ray."""
     line = position[by_point.index] - by_point.centre
     is_behind = np.sum(line * by_point.direction, axis=1) <= 0.0
     return np.asarray(by_point.sums(good & is_behind) > 0, np.bool_)
@@ -414,12 +425,12 @@ def meet_behind(by_point: SortedRays, position: Array, good: Mask) -> Mask:
 class WeightedPoints:
     """Points (p,) by rays weighted with the errors of pixels and stations together."""
 
-    position: Array  # (p, 3) from the origin of the sorted rays
-    normal: Array  # (p, 3, 3) inverse covariance
-    chi_square: Array
+    position: Array  # (p, 3) minus the origin of the sorted rays [m]
+    normal: Array  # (p, 3, 3) inverse covariance [1/m^2]
+    chi_square: Array  # (p,)
 
     def variance_along(self, axis: Array) -> Array:
-        """(p,) variances along unit vectors (p, 3)."""
+        """(p,) variances [m^2] of the points along unit vectors (p, 3)."""
         spread = np.linalg.solve(self.normal, axis[..., None])[..., 0]
         variance = np.sum(axis * spread, axis=1)
         return np.asarray(variance, np.float64)
@@ -428,7 +439,7 @@ class WeightedPoints:
 def points_with_stations(
     by_point: SortedRays, orientations: Orientations, good: Mask
 ) -> WeightedPoints:
-    """One step of least squares from the positions that pixels alone give."""
+    """Points by one step of least squares, from the positions without errors of stations."""
     position = by_point.positions(good)
     misses = by_point.misses(orientations, position, good)
     A = misses.point_derivatives

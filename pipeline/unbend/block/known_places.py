@@ -1,8 +1,8 @@
-"""Where images were by another source than their orientation, compared with the stations.
+"""Compare known positions of images with the stations of a block, to test the frame of the block.
 
-The comparison is that of a frame: positions that the same files know (EXIF, pose priors, the
-reference of a project, exposures of the log) tell a block that is turned, tilted, of another scale
-or elsewhere. Single positions are not judged: receivers in cameras err by metres.
+Known positions come from the same files or the log (EXIF, pose priors, the reference of a project,
+exposures). They show a block that is turned, tilted, of another scale or elsewhere. Single
+positions are not tested: receivers in cameras have errors of metres.
 """
 
 from collections.abc import Iterable
@@ -17,21 +17,21 @@ from unbend.geodesy import ecef_of_geodetic, enu_from_ecef
 from unbend.messages import Message, Notes
 from unbend.units import Array, Mask, Names
 
-FEWEST_FOR_A_TURN = 4  # images that tell turn and scale; three leave hardly a residual
+FEWEST_FOR_A_TURN = 4  # images for turn and scale; with three, residuals show hardly anything
 OUTLIER_SIGMAS = 4.0  # residuals beyond this, in robust sigmas, do not count in the fit
 MAD_OF_SIGMA = 0.6745  # median absolute residual of a normal distribution, in sigmas
-SIGNIFICANT_SIGMAS = 5.0  # a turn, tilt or scale below this is none
-OVER_RESIDUAL = 3.0  # what a turn does at the block's edge, over the residual: drifts do less
-SMALLEST_TURN_RAD = np.radians(0.3)  # changes nothing that can be measured: 5 deg turn R by 9 %
-SMALLEST_TILT_RAD = np.radians(0.3)  # 1 % of R at 45 deg
-SMALLEST_SCALE = 0.005  # relative; of the height above ground, and so of R
-SMALLEST_STEP_M = 2.0  # horizontal, at the edge of the block: receivers drift by as much
-SMALLEST_RISE_M = 5.0  # vertical, likewise
+SIGNIFICANT_SIGMAS = 5.0  # a smaller turn, tilt or scale is noise
+OVER_RESIDUAL = 3.0  # times the residual: a smaller shift at the block's edge may be a drift
+SMALLEST_TURN_RAD = np.radians(0.3)  # smaller ones do not matter: 5 deg turn R by 9 %
+SMALLEST_TILT_RAD = np.radians(0.3)  # changes R by 1 % at 45 deg
+SMALLEST_SCALE = 0.005  # relative change of the height above ground, and so of R
+SMALLEST_STEP_M = 2.0  # horizontal shift at the edge of the block: receivers drift by as much
+SMALLEST_RISE_M = 5.0  # vertical shift at the edge of the block: receivers drift by as much
 LARGEST_OFFSET_M = 20.0  # of the middle of all images: receiver, clock and datum together
-LARGEST_HEIGHT_OFFSET_M = 150.0  # a geoid, or a barometer's zero, is no more
+LARGEST_HEIGHT_OFFSET_M = 150.0  # undulations and zeros of barometers are smaller
 LARGEST_RESIDUAL_M = 20.0  # horizontal, of a fit with turn and scale
-LARGEST_RESIDUAL = 0.02  # likewise, in parts of the extent
-LINE_WIDTH = 0.05  # width over length of images that lie on a line
+LARGEST_RESIDUAL = 0.02  # the same as a share of the extent
+LINE_WIDTH = 0.05  # width over length: narrower images are on a line
 
 
 @dataclass(
@@ -39,53 +39,46 @@ LINE_WIDTH = 0.05  # width over length of images that lie on a line
     eq=False,
 )
 class KnownPlaces:
-    """Positions of images by one source, which ``source`` names in words.
+    """Positions of images from one source."""
 
-    ``position`` (m, 3) is latitude, longitude [rad] and height [m], NaN where unknown, whatever the
-    height counts from; or, where ``in_frame``, x, y and z in the frame of the block.
-    """
-
-    source: str
-    image: Names
-    position: Array
-    in_frame: bool = False
+    source: str  # in words
+    image: Names  # (m,)
+    position: Array  # (m, 3) latitude, longitude [rad], height [m] of any reference; NaN unknown
+    in_frame: bool = False  # True: ``position`` is x, y, z in the frame of the block instead
 
     def rows_of(self, image: Names) -> Array:
-        """(n, 3) the positions of some images, NaN where there is none."""
-        row = {composed(name): k for k, name in enumerate(self.image.tolist())}
+        """(n, 3) the positions of images by their names, NaN for an image without one."""
+        row_of_name = {composed(name): row for row, name in enumerate(self.image.tolist())}
         position = np.full((len(image), 3), np.nan)
-        for i, name in enumerate(image.tolist()):
-            name_here = composed(name)
-            if name_here in row:
-                position[i] = self.position[row[name_here]]
+        for row, name in enumerate(image.tolist()):
+            known_row = row_of_name.get(composed(name))
+            if known_row is not None:
+                position[row] = self.position[known_row]
         return position
 
 
 @dataclass(frozen=True)
 class PlaceComparison:
-    """How known positions lie against those of the block.
+    """Known positions compared with those of the block.
 
-    ``offset_m`` is the horizontal distance between their middles, ``height_m`` the median of known
-    heights minus those of the block, NaN without. ``turn_rad``, ``scale`` and ``tilt_rad`` bring
-    the block to the known positions, with sigmas; NaN where too few images tell them.
-    ``residual_m`` is the horizontal distance that remains (rms).
+    Turn, scale and tilt bring the block to the known positions; NaN if too few images show them.
     """
 
-    count: int
-    extent_m: float
-    offset_m: float
-    height_m: float
-    residual_m: float
-    turn_rad: float = np.nan
+    count: int  # of the images
+    extent_m: float  # diagonal of the box around the known positions, horizontal
+    offset_m: float  # horizontal, median of known minus block
+    height_m: float  # the same of heights, NaN without known heights
+    residual_m: float  # horizontal distance after the shift, turn and scale (rms)
+    turn_rad: float = np.nan  # about the vertical, clockwise
     scale: float = np.nan
     sigma_turn: float = np.nan  # of the turn [rad], and relative of the scale
     tilt_rad: float = np.nan
     sigma_tilt_rad: float = np.nan
-    rise_residual_m: float = np.nan
+    rise_residual_m: float = np.nan  # of heights after the tilt (rms)
 
     @property
     def contradictions(self) -> list[str]:
-        """What of the frame the known positions contradict, in words."""
+        """The properties of the frame that the known positions contradict, in words."""
         texts = self.turns_and_scales()
         if self.is_tilted:
             angle_deg = np.degrees(self.tilt_rad)
@@ -100,10 +93,10 @@ class PlaceComparison:
         return texts
 
     def turns_and_scales(self) -> list[str]:
-        """The turn and the scale, in words, if they are none of noise or drift."""
+        """The turn and the scale in words, each if it is larger than noise and drift."""
         texts = []
         half_m = 0.5 * self.extent_m
-        tolerated_m = max(OVER_RESIDUAL * self.residual_m, SMALLEST_STEP_M)
+        tolerated_m = max(OVER_RESIDUAL * self.residual_m, SMALLEST_STEP_M)  # at the edge
         noise = SIGNIFICANT_SIGMAS * self.sigma_turn
         turn = abs(self.turn_rad)
         if turn > max(SMALLEST_TURN_RAD, noise) and turn * half_m > tolerated_m:
@@ -117,7 +110,7 @@ class PlaceComparison:
 
     @property
     def is_tilted(self) -> bool:
-        """Whether the vertical leans by more than noise and drift of heights do."""
+        """Whether the tilt is larger than noise and drift of heights explain; False for NaN."""
         rise_m = self.tilt_rad * 0.5 * self.extent_m
         noise = SIGNIFICANT_SIGMAS * self.sigma_tilt_rad
         smallest_rise_m = max(OVER_RESIDUAL * self.rise_residual_m, SMALLEST_RISE_M)
@@ -125,7 +118,7 @@ class PlaceComparison:
 
     @property
     def tested(self) -> str:
-        """What agrees, with its sigmas, in words."""
+        """The compared properties with their values and sigmas, in words."""
         parts = [f"{self.offset_m:.1f} m apart at the centre"]
         if np.isfinite(self.turn_rad):
             degrees = np.degrees(abs(self.turn_rad))
@@ -145,7 +138,11 @@ def compared_places(
     stations: Stations,
     known: Array,
 ) -> PlaceComparison | None:
-    """The comparison of stations with (n, 3) known positions; None where nothing is in both."""
+    """Compare stations with their known positions; None if no station has both.
+
+    ``known`` (n, 3) are latitude, longitude [rad] and height [m] by station, NaN where unknown.
+    Turn, scale and tilt need at least `FEWEST_FOR_A_TURN` images.
+    """
     position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)
     usable = np.isfinite(known[:, :2]).all(axis=1) & np.isfinite(position).all(axis=1)
     if not usable.any():
@@ -153,6 +150,7 @@ def compared_places(
     block_enu, known_enu, has_height = in_one_plane(position[usable], known[usable])
     apart = known_enu - block_enu
     middle = np.median(apart, axis=0)
+    square = np.sum((apart - middle)[:, :2] ** 2, axis=1)
     extent = float(np.linalg.norm(np.ptp(known_enu[:, :2], axis=0)))
     heights = apart[has_height, 2]
     comparison = PlaceComparison(
@@ -160,7 +158,7 @@ def compared_places(
         extent_m=extent,
         offset_m=float(np.hypot(middle[0], middle[1])),
         height_m=float(np.median(heights)) if heights.size else np.nan,
-        residual_m=float(np.sqrt(np.mean(np.sum((apart - middle)[:, :2] ** 2, axis=1)))),
+        residual_m=float(np.sqrt(square.mean())),
     )
     if comparison.count < FEWEST_FOR_A_TURN or extent == 0.0 or not np.ptp(block_enu[:, 0]):
         return comparison
@@ -171,9 +169,11 @@ def in_one_plane(
     position: Array,
     known: Array,
 ) -> tuple[Array, Array, Mask]:
-    """East, north, up of both (n, 3) [m] about the middle of the known ones, and known heights.
+    """Block and known positions in east, north, up [m] at the middle of the known ones.
 
-    A height that is not known is that of the block.
+    Both are given as latitude, longitude [rad] and height [m], (n, 3). Returns the positions of the
+    block, the known ones (n, 3), and a mask (n,) of those with a known height; others get the
+    height of the block.
     """
     has_height = np.isfinite(known[:, 2])
     height = np.where(has_height, known[:, 2], position[:, 2])
@@ -193,11 +193,15 @@ def with_turn(
     known_enu: Array,
     has_height: Mask,
 ) -> PlaceComparison:
-    """The comparison with turn, scale and tilt, by lines through all but outliers."""
+    """The comparison with turn, scale and tilt, fitted without outliers.
+
+    ``block_enu`` and ``known_enu`` (n, 3) are positions in one local frame [m]. The horizontal fit
+    takes east + i north as a complex number: w = factor z, with factor = scale exp(-i turn).
+    """
     z = block_enu[:, 0] + 1j * block_enu[:, 1]
     w = known_enu[:, 0] + 1j * known_enu[:, 1]
     keep = np.ones(z.size, np.bool_)
-    for _ in range(3):  # outliers move the first fits
+    for _ in range(3):  # the first fits are still affected by outliers
         factor, miss = plane_similarity(z, w, keep)
         keep = within_usual(np.abs(miss))
     spread = float(np.sqrt(np.sum(np.abs(z[keep] - z[keep].mean()) ** 2)))
@@ -226,11 +230,11 @@ def with_turn(
 
 @dataclass(frozen=True)
 class Tilt:
-    """The tilt of a plane, its sigma, and what it leaves of heights (rms)."""
+    """The tilt of a block against known heights."""
 
     angle_rad: float
     sigma_rad: float
-    residual_m: float
+    residual_m: float  # of heights after the tilt (rms)
 
 
 def plane_similarity(
@@ -238,7 +242,10 @@ def plane_similarity(
     w: Array,
     keep: Mask,
 ) -> tuple[complex, Array]:
-    """The complex factor that brings z to w, by least squares, and what all (n,) miss it by."""
+    """Least-squares factor of w - mean(w) = factor (z - mean(z)), and the residuals (n,) of all.
+
+    Only rows of ``keep`` (n,) count in the fit. The factor is 1 if all z are equal.
+    """
     centred_z = z - z[keep].mean()
     centred_w = w - w[keep].mean()
     power = float(np.sum(np.abs(centred_z[keep]) ** 2))
@@ -247,18 +254,18 @@ def plane_similarity(
 
 
 def within_usual(distance: Array) -> Mask:
-    """Which distances are within four robust sigmas."""
-    usual = float(np.median(distance)) / MAD_OF_SIGMA
-    return np.asarray(distance <= max(OUTLIER_SIGMAS * usual, 1e-9))
+    """(n,) whether a distance is within `OUTLIER_SIGMAS` robust sigmas of 0."""
+    sigma = float(np.median(distance)) / MAD_OF_SIGMA
+    return np.asarray(distance <= max(OUTLIER_SIGMAS * sigma, 1e-9))  # 1e-9: exact fits stay
 
 
 def tilt_of(
     block_enu: Array,
     known_enu: Array,
 ) -> Tilt | None:
-    """The tilt of a plane through the differences of heights.
+    """The tilt of a plane fitted to known heights minus those of the block, without outliers.
 
-    None for images on a line, which do not tell the tilt across it.
+    None for images on a line, because they do not show a tilt across it.
     """
     flat = known_enu[:, :2] - known_enu[:, :2].mean(axis=0)
     length, width = np.linalg.svd(flat, compute_uv=False)
@@ -288,14 +295,21 @@ def frame_notes(
     system: str = "",
     has_tested_heights: bool = False,
 ) -> Notes:
-    """What known positions, by their sources, say of the frame of a block's stations.
+    """Compare known positions with the stations of a block, and report on the block's frame.
 
-    A finding (FRAME-PLACES) where they contradict it, else a note (FRAME-CONFIRMED). Of a frame
-    that ``must_be_tested`` by something a warning (FRAME-UNVERIFIED), where no source has positions
-    of four images or more; it names the coordinate ``system`` of a map, if there is one, and what
-    is not tested. ``has_tested_heights`` : tie points show the heights above a given ground.
+    For each source a finding (FRAME-PLACES) if it contradicts the frame, or else a note
+    (FRAME-CONFIRMED).
+
+    Parameters
+    ----------
+    known : pairs of a source in words and positions (n, 3) of the stations, as `compared_places`
+        takes them.
+    must_be_tested : give a warning (FRAME-UNVERIFIED) if no source has positions of four images.
+    where : the place of the messages.
+    system : the coordinate system of a map, for the warning; empty for another frame.
+    has_tested_heights : tie points show the heights above a given ground.
     """
-    made: list[Message] = []
+    notes: list[Message] = []
     is_tested = False
     for source, position in known:
         comparison = compared_places(stations, position)
@@ -303,7 +317,7 @@ def frame_notes(
             continue
         contradictions = comparison.contradictions
         if contradictions:
-            made.append(
+            notes.append(
                 messages.frame_contradicts_places(
                     where=where,
                     count=comparison.count,
@@ -314,7 +328,7 @@ def frame_notes(
                 )
             )
         else:
-            made.append(
+            notes.append(
                 messages.frame_confirmed(
                     where=where,
                     count=comparison.count,
@@ -328,12 +342,15 @@ def frame_notes(
         untested = messages.untested_in_words(
             is_map=bool(system), has_tested_heights=has_tested_heights
         )
-        made.append(unverified(stations, where, system, untested))
-    return tuple(made)
+        notes.append(unverified(stations, where, system, untested))
+    return tuple(notes)
 
 
 def unverified(stations: Stations, where: str, system: str, untested: str) -> Message:
-    """The warning that nothing confirms a frame, with what can be seen of it."""
+    """The warning that nothing confirms a frame, with its extent, heights and place.
+
+    ``untested`` lists the untested properties in words.
+    """
     ok = stations.ok
     position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)[ok]
     extent = np.nan

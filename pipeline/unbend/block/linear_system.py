@@ -1,4 +1,4 @@
-"""What rays miss their points by, and the errors of stations: one linear system, points taken out.
+"""Misses of rays at their points and errors of stations in one linear system without the points.
 
 In units of the sigmas the residuals are y = A dx + J p + e, with the changes of the points dx, the
 errors of the stations p and those of the pixels e. Q = I - Y Y' takes the points out; the stations'
@@ -22,37 +22,37 @@ from unbend.units import Array, Integers, Mask
 
 @dataclass(frozen=True, eq=False)
 class ReducedSystem:
-    """The residuals and their derivatives in units of the pixels' sigmas, rays sorted by point.
+    """Residuals and their derivatives in units of the pixels' sigmas, with the points taken out.
 
-    Rows are two for each ray, then one for each point's given height.
+    The rows are two for each ray, sorted by point, then one for the given height of each point.
     """
 
-    order: Integers  # (r,) where the sorted rays stood
-    image: Integers  # (r,)
+    order: Integers  # (r,) row of the sorted rays in `ImageRays`
+    image: Integers  # (r,) row of the image in `Orientations`
     sigma: Array  # (r,) of the sorted rays [rad]
     half_inverse: Array  # (p, 3, 3) L^-1 of the points' normal equations L L'
     Y: sparse.csr_matrix  # A L'^-1: Q = I - Y Y'
-    J: sparse.csr_matrix  # by the stations' errors in units of their sigmas
+    J: sparse.csr_matrix  # derivatives by the stations' errors in units of their sigmas
     JJ: sparse.csr_matrix  # J'J
     Z: sparse.csr_matrix  # Y'J
-    residual: Array  # Q y
-    factor: Any  # of I + J'QJ
-    errors: Array  # of the stations at their most probable, in units of their sigmas
+    residual: Array  # Q y: the points at their best, the stations without errors
+    factor: Any  # factorisation of I + J'QJ
+    errors: Array  # most probable errors of the stations, in units of their sigmas
 
     @cached_property
     def remaining(self) -> Array:
-        """The residuals that remain with the most probable errors of the stations."""
+        """The residuals after the most probable errors of the stations are subtracted."""
         by_stations = self.J @ self.errors
         by_points = self.Y @ (self.Z @ self.errors)  # which move with the stations
         return np.asarray(self.residual - by_stations + by_points, np.float64)
 
     @property
     def residual_rad(self) -> Array:
-        """(r, 2) the residuals of the rays, with what stations err by in them [rad]."""
+        """(r, 2) the residuals of the rays [rad], errors of the stations included."""
         return self.of_rays(self.residual) * self.sigma[:, None]
 
     def of_rays(self, residual: Array) -> Array:
-        """(r, 2) those of the residuals that are of rays, not of given heights."""
+        """(r, 2) the part of residuals that belongs to rays, without that of given heights."""
         rows = 2 * self.sigma.size
         return residual[:rows].reshape(-1, 2)
 
@@ -64,27 +64,34 @@ def block_matrix(
     *,
     empty: int = 0,
 ) -> sparse.csr_matrix:
-    """Sparse matrix of blocks (n, rows, width), one in each row of blocks, above empty rows."""
+    """Sparse matrix with one block in each row of blocks.
+
+    ``values`` (n, rows, width) are the blocks, ``column`` (n,) the column of blocks of each, and
+    ``columns`` the number of these. Below them are ``empty`` rows of zeros.
+    """
     count, rows, width = values.shape
     filled = count * rows
     total = filled + empty
     column_of_block = column[:, None] * width + np.arange(width)
     indices = np.repeat(column_of_block, rows, axis=0)
-    start = np.minimum(np.arange(total + 1), filled) * width
+    start = np.minimum(np.arange(total + 1), filled) * width  # of each row in ``values``
     return sparse.csr_matrix(
         (values.ravel(), indices.ravel(), start),
         shape=(total, columns * width),
     )
 
 
-@lru_cache(1)  # as large as the last one
+@lru_cache(1)  # one flight needs the same size again and again
 def identity(size: int) -> sparse.csr_matrix:
     """The sparse identity matrix."""
     return sparse.identity(size, format="csr")
 
 
 def with_ridge(normal: Array) -> Array:
-    """Normal equations (p, 3, 3) that have a solution where rays are parallel or none are there."""
+    """Normal equations (p, 3, 3) with a small diagonal added, so that they have a solution.
+
+    Without it those of parallel rays, and of points without rays, are singular.
+    """
     trace = np.trace(normal, axis1=1, axis2=2)
     ridge = RIDGE * trace + (trace == 0.0)
     return np.asarray(normal + ridge[:, None, None] * np.eye(3), np.float64)
@@ -98,14 +105,17 @@ def heights_and_verticals(position_m: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class HeightMisses:
-    """How far given heights of points are above them, in sigmas; zeros where none counts."""
+    """Given heights minus heights of the points, in sigmas; zeros where no height counts."""
 
     miss: Array  # (p,)
     point_derivatives: Array  # (p, 3) derivatives by the position of the point [m]
 
 
 def height_misses(by_point: SortedRays, position: Array, good: Mask) -> HeightMisses:
-    """The given heights of points that two good rays see or more."""
+    """Misses of given heights at positions (p, 3), given minus ``origin`` [m].
+
+    Heights count for points that two or more good rays see.
+    """
     seen_twice = by_point.sums(good * 1) >= 2
     counts = np.isfinite(by_point.height) & seen_twice
     h_m, up = heights_and_verticals(position + by_point.origin)
@@ -119,7 +129,7 @@ def height_misses(by_point: SortedRays, position: Array, good: Mask) -> HeightMi
 def linearised(
     by_point: SortedRays, orientations: Orientations, position: Array, good: Mask
 ) -> ReducedSystem:
-    """The system at some positions, of the good rays."""
+    """The system of the good rays at positions (p, 3) of the points, minus ``origin`` [m]."""
     points = by_point.start.size
     rays = by_point.misses(orientations, position, good)
     heights = height_misses(by_point, position, good)
@@ -158,7 +168,7 @@ def linearised(
 
 
 def half_inverses(by_point: SortedRays, rays: RayMisses, heights: HeightMisses) -> Array:
-    """(p, 3, 3) L^-1 of the points' normal equations L L'."""
+    """(p, 3, 3) L^-1, with L L' the normal equations A'A of each point (Cholesky)."""
     A = rays.point_derivatives
     up = heights.point_derivatives
     of_rays = by_point.sums(np.swapaxes(A, 1, 2) @ A)
@@ -170,7 +180,7 @@ def half_inverses(by_point: SortedRays, rays: RayMisses, heights: HeightMisses) 
 def orthogonal_rows(
     by_point: SortedRays, rays: RayMisses, heights: HeightMisses, half_inverse: Array
 ) -> sparse.csr_matrix:
-    """Y = A L'^-1: the derivatives by the points, whose columns are orthonormal."""
+    """Y = A L'^-1, the derivatives by the points, transformed to orthonormal columns."""
     points = by_point.start.size
     half = np.swapaxes(half_inverse, 1, 2)
     of_rays = rays.point_derivatives @ half[by_point.index]

@@ -1,4 +1,4 @@
-"""Images whose position and attitude another program has determined: their frame, and stations."""
+"""Images with position and attitude from another program: their frame, and their stations."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,17 +27,17 @@ from unbend.units import Array, Integers, Mask, Names, Rows
 
 LARGEST_FIT_TILT_RAD = np.radians(1.0)  # sigma of a fitted vertical: 5 % of R
 LARGEST_FIT_RESIDUAL = 0.02  # rms, in parts of the extent of the known positions
-USUAL_FIT_RESIDUAL = 0.003  # of one position, in parts of the extent ...
-USUAL_FIT_SIGMAS = 5.0  # ... and in sigmas: one beyond both is reported
-FIT_OUTLIER = 4.0  # of the residuals of the others: one beyond contradicts them
-SUSPECTS_OF_FIT = 5  # positions that fit worst, which are tried alone: one error moves the others
-FAR_M = 10_000.0  # from the middle of all images ...
-FAR_FACTOR = 20.0  # ... and in median distances from it: an image beyond both is elsewhere
-FEW_LOOK_UP = 0.1  # of so few images above the horizon each is flagged; more have another cause
-USUAL_STEP = 2.0  # median steps from image to image: a longer one is a turn to another line
-MIN_STEPS = 10  # fewer do not tell the sense of angles
-SAME_SENSE = 0.5  # resultant length of the angles to the track: more means that they agree
-OTHER_SENSE = 0.8  # the same of angles with the other sign
+USUAL_FIT_RESIDUAL = 0.003  # of one position, as a share of the extent ...
+USUAL_FIT_SIGMAS = 5.0  # ... and in sigmas: a position beyond both is reported
+FIT_OUTLIER = 4.0  # times the rms of the other positions: a position beyond contradicts them
+SUSPECTS_OF_FIT = 5  # worst positions that are left out one by one: an error moves the others
+FAR_M = 10_000.0  # distance from the middle of all images ...
+FAR_FACTOR = 20.0  # ... and the same in median distances: an image beyond both is elsewhere
+FEW_LOOK_UP = 0.1  # share of images above the horizon up to which each is flagged
+USUAL_STEP = 2.0  # median steps from image to image: a longer step leads to another line
+MIN_STEPS = 10  # fewer do not show the sense of angles
+SAME_SENSE = 0.5  # resultant length of image minus track azimuths: above it they agree
+OTHER_SENSE = 0.8  # resultant length of their sums: above it the sense is the other one
 
 ORIENTATION = "stations.orientation"  # key of the mission file
 KNOWN_POSITIONS = "stations.orientation.known_positions"
@@ -48,15 +48,12 @@ SIGMAS_OF_BLOCK = (0.3, 0.3, 0.5, *np.radians([0.02, 0.02, 0.05]))
 
 @dataclass(frozen=True, eq=False)
 class CartesianFrame:
-    """A frame of x, y, z on the earth: x_ecef = origin_m + scale * ecef_from_frame @ x.
+    """A frame of x, y, z on the earth: x_ecef = origin_m + scale * ecef_from_frame @ x."""
 
-    ``tilt_rad`` is the standard deviation of its vertical where it was fitted, else 0.
-    """
-
-    ecef_from_frame: Array
-    origin_m: Array
-    scale: float = 1.0
-    tilt_rad: float = 0.0
+    ecef_from_frame: Array  # (3, 3)
+    origin_m: Array  # (3,) earth-centred
+    scale: float = 1.0  # metres in a unit of the frame
+    tilt_rad: float = 0.0  # standard deviation of the vertical of a fitted frame, else 0
 
     def geodetic(self, xyz: Array) -> tuple[Array, Array, Array]:
         """Latitude, longitude [rad] and ellipsoidal height [m] of (n, 3) positions."""
@@ -64,12 +61,15 @@ class CartesianFrame:
         return geodetic_of_ecef(*ecef_m.T)
 
     def local(self, geodetic: Array) -> Array:
-        """(n, 3) x, y, z of latitudes, longitudes [rad] and ellipsoidal heights [m]."""
+        """(n, 3) x, y, z of places (n, 3): latitude, longitude [rad], ellipsoidal height [m]."""
         ecef = ecef_of_geodetic(*geodetic.T)
         return (ecef - self.origin_m) @ self.ecef_from_frame / self.scale
 
     def local_attitude(self, quaternion: Array, lat_rad: Array, lon_rad: Array) -> Array:
-        """(n, 4) attitudes against this frame as those against east, north, up at each place."""
+        """(n, 4) quaternions from this frame to the camera as those from east, north, up.
+
+        East, north and up are those at each place.
+        """
         ecef_from_enu = enu_from_ecef(lat_rad, lon_rad).transpose(0, 2, 1)
         return in_turned_frame(quaternion, self.ecef_from_frame.T @ ecef_from_enu)
 
@@ -94,13 +94,13 @@ def fitted_frame(
     *,
     sigma_m: float = 1.0,
 ) -> tuple[CartesianFrame, Notes]:
-    """The frame of a model, by a similarity of seven parameters through known positions.
+    """Fit the frame of a model to known positions (similarity of seven parameters).
 
     Parameters
     ----------
     image, xyz : (n,) names and (n, 3) positions in the frame of the model.
     known_image, known : (m,) names and (m, 3) latitude, longitude [rad] and ellipsoidal height [m].
-    sigma_m : standard deviation of the known coordinates, at least: few residuals say little.
+    sigma_m : least standard deviation of the known coordinates; residuals may show a larger one.
 
     Least squares with equal weights (Umeyama 1991; the rotation by scipy's align_vectors). Refuses
     (MissionError) fewer than three images that are in both, positions on a line, and residuals of
@@ -133,37 +133,40 @@ def fitted_frame(
 
 @dataclass(frozen=True, eq=False)
 class PositionsOfBoth:
-    """Images that model and known positions share, and both positions (k, 3) [m]."""
+    """Images that have a position in the model and a known one."""
 
-    name: Names
-    model: Array
-    earth: Array
+    name: Names  # (k,)
+    model: Array  # (k, 3) x, y, z in the frame of the model
+    earth: Array  # (k, 3) earth-centred [m]
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """How many images these are."""
         return self.name.size
 
     @property
     def extent_m(self) -> float:
-        """Diagonal of the box around the known positions."""
+        """Diagonal of the box around the known positions [m]."""
         return float(np.linalg.norm(np.ptp(self.earth, axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
 class SimilarityFit:
-    """A frame through known positions, with residuals (k,) and the sigma of one of them."""
+    """A frame that was fitted to known positions."""
 
     frame: CartesianFrame
-    residual_m: Array
-    sigma_m: float
-    text: str
+    residual_m: Array  # (k,) distances after the fit
+    sigma_m: float  # standard deviation of a known coordinate
+    text: str  # the residuals in words
 
 
 def positions_of_both(
     image: Names, xyz: Array, known_image: Names, known: Array
 ) -> PositionsOfBoth:
-    """Images that model and known positions share; refuses fewer than three."""
+    """The images with a position in the model and a known one; refuses fewer than three.
+
+    Arguments as in `fitted_frame`.
+    """
     row_of_name = {}
     for row, name in enumerate(image.tolist()):
         row_of_name[composed(name)] = row
@@ -185,7 +188,10 @@ def positions_of_both(
 
 
 def similarity_fit(positions: PositionsOfBoth, sigma_m: float) -> SimilarityFit:
-    """The frame through all positions; refuses a line, and what does not fit."""
+    """Fit a frame to all positions; refuses positions on a line, and residuals that are large.
+
+    ``sigma_m`` is the least standard deviation of the known coordinates.
+    """
     count = positions.count
     model = positions.model
     length, width, _ = np.linalg.svd(model - model.mean(axis=0), compute_uv=False)
@@ -216,7 +222,7 @@ def similarity_fit(positions: PositionsOfBoth, sigma_m: float) -> SimilarityFit:
 def contradictions_of_fit(
     positions: PositionsOfBoth, fit: SimilarityFit, sigma_m: float
 ) -> list[str]:
-    """What speaks against a fit that its residuals allow."""
+    """Contradictions in words: a large residual, and a position that contradicts the others."""
     contradictions = []
     usual_m = USUAL_FIT_SIGMAS * sigma_m
     residual = fit.residual_m
@@ -240,15 +246,15 @@ def contradictions_of_fit(
 
 
 class FitWithout(NamedTuple):
-    """Residuals of all positions but one, and what that one is off by; least residuals first."""
+    """A fit without one position. Fits compare by ``rms_m``, their first field."""
 
-    rms_m: float
-    off_m: float
-    row: int
+    rms_m: float  # of the positions in the fit
+    off_m: float  # residual of the position that is left out
+    row: int  # of this position
 
 
 def fit_without(positions: PositionsOfBoth, row: int) -> FitWithout:
-    """The fit of all positions but one."""
+    """Fit all positions except that of a row."""
     is_other = np.arange(positions.count) != row
     _, miss = similarity(positions, is_other)
     miss_m = np.linalg.norm(miss, axis=1)
@@ -257,7 +263,10 @@ def fit_without(positions: PositionsOfBoth, row: int) -> FitWithout:
 
 
 def similarity(positions: PositionsOfBoth, use: Mask) -> tuple[CartesianFrame, Array]:
-    """The frame through some of the positions, and what all of them (n, 3) miss it by [m]."""
+    """Fit a frame to the positions of a mask ``use`` (k,).
+
+    Returns the frame, and earth minus fitted model of all positions (k, 3) [m].
+    """
     model_middle = positions.model[use].mean(axis=0)
     earth_middle = positions.earth[use].mean(axis=0)
     model = positions.model - model_middle
@@ -273,12 +282,7 @@ def similarity(positions: PositionsOfBoth, use: Mask) -> tuple[CartesianFrame, A
 
 @dataclass(frozen=True, eq=False)
 class OrientedImages:
-    """Oriented images against east, north, up at each; (n,) arrays, SI and radians, NaN unknown.
-
-    ``quaternion`` (n, 4) turns to the camera, or to the body where ``of_body``: then the position
-    is that of the point the lever arms count from. ``h_m`` is above the ellipsoid, or above mean
-    sea level where ``is_msl``. ``sigmas`` by the names of `Stations`.
-    """
+    """Oriented images; (n,) arrays, NaN where unknown."""
 
     image: Names
     camera: Names
@@ -286,16 +290,20 @@ class OrientedImages:
     lat_rad: Array
     lon_rad: Array
     h_m: Array
-    is_msl: bool
-    quaternion: Array
-    of_body: bool
-    sigmas: Mapping[str, Any]
+    is_msl: bool  # heights above mean sea level; False: above the ellipsoid
+    quaternion: Array  # (n, 4) from east, north, up at each image to the camera (or body)
+    of_body: bool  # attitudes of the body, and positions of the origin of lever arms
+    sigmas: Mapping[str, Any]  # by the names of fields of `Stations`
 
 
 def stations_of_images(
     images: OrientedImages, mounts: Mapping[str, Mount], heights: HeightSystem
 ) -> Stations:
-    """Stations of oriented images; what one lacks, its height above the sea too, is its status."""
+    """Stations of oriented images.
+
+    Attitudes of the body are turned by the mount of the camera, and positions moved by its lever
+    arm. The status of a station shows a missing position, height above the sea or attitude.
+    """
     lat = images.lat_rad.copy()
     lon = images.lon_rad.copy()
     h = images.h_m.copy()
@@ -330,7 +338,10 @@ def stations_of_images(
 
 
 def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
-    """Mark cameras that look above the horizon as suspect; refuses where more than few do."""
+    """Mark images with a camera that looks above the horizon as suspect.
+
+    Refuses (MissionError) if that are more than `FEW_LOOK_UP` of them: then the cause is another.
+    """
     with np.errstate(invalid="ignore"):
         up = stations.ok & (matrices_of(stations.quaternion)[:, 2, 2] > 0.0)
     count = int(up.sum())
@@ -357,7 +368,10 @@ def flag_above_horizon(stations: Stations) -> tuple[Stations, Notes]:
 
 
 def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
-    """Mark images far from all others as suspect: a position of zero, or of another flight."""
+    """Mark images far from all others as suspect: a position of zero, or of another flight.
+
+    ``use`` : whether suspect stations are used all the same.
+    """
     ok = stations.ok
     place = ecef_of_geodetic(stations.lat_rad, stations.lon_rad, np.zeros(stations.image.size))
     if not bool(ok.any()):
@@ -384,9 +398,9 @@ def flag_far_images(stations: Stations, *, use: bool) -> tuple[Stations, Notes]:
 def refuse_turned_images(stations: Stations) -> None:
     """Refuse (MissionError) images that turn against the flight.
 
-    The angle between the sides of the image and the track is that of the mount and the drift, the
-    same in all lines but for quarter turns. Where instead the sum of the two azimuths is the same,
-    the sense of kappa or yaw is the other one, or the rotation is the inverse.
+    The azimuth of the image minus that of the track is the same in all lines, up to quarter turns:
+    it follows from mount and drift. If their sum is the same instead, kappa or yaw has the opposite
+    sense, or the rotation is the inverse.
     """
     differences = []  # by camera
     sums = []
@@ -402,9 +416,10 @@ def refuse_turned_images(stations: Stations) -> None:
 
 
 def azimuths_along_lines(stations: Stations, rows: Rows) -> tuple[Array, Array]:
-    """Azimuths [rad] of the tops of images and of the track to the next one, within lines.
+    """Azimuths [rad] of the tops of images, and of the track from there to the next image.
 
-    In the order of their times, where all have one.
+    ``rows`` are the stations of one camera; they are sorted by time if all have one. The last image
+    of a flight line is left out.
     """
     if (stations.time_ns[rows] > 0).all():
         rows = rows[np.argsort(stations.time_ns[rows], kind="stable")]
@@ -422,9 +437,10 @@ def azimuths_along_lines(stations: Stations, rows: Rows) -> tuple[Array, Array]:
 
 
 def agreement(angles_of_cameras: list[Array]) -> float:
-    """Resultant length (0 to 1) of four times the angles, of each camera about its own mean.
+    """How well angles [rad] agree up to quarter turns: 1 if they are equal, 0 if scattered.
 
-    In four times an angle quarter turns are none.
+    It is the mean resultant length of four times the angles; the angles of each camera agree among
+    themselves.
     """
     resultants = [abs(np.exp(4j * angles).sum()) for angles in angles_of_cameras]
     return float(sum(resultants) / sum(angles.size for angles in angles_of_cameras))

@@ -1,9 +1,9 @@
-"""What may be wrong with a mission file: each likely mistake as a hypothesis of how to read it.
+"""Possible mistakes in a mission file, each as a hypothesis that changes what it states.
 
-The stations are held, and the rays of tie points are intersected under each hypothesis: cameras
-exchanged, another mount, another principal distance, a radial distortion, a calibration of other
-signs or axes, exposures earlier or later, heights from another zero, other axes of the pixels.
-`diagnosis` decides between them.
+Under each hypothesis the rays of tie points are intersected with fixed stations: cameras exchanged,
+another mount, another principal distance, a radial distortion, a calibration with other signs or
+axes, exposures earlier or later, heights from another zero, other axes of the pixels. `diagnosis`
+decides between them.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from unbend.units import Array, Integers
 EXPLAINED_SIGMAS = 4.0  # a stated sigma explains no larger error that all stations share
 
 # First steps by which an amount is varied to find the most likely one.
-CALIBRATION_STEP = 0.25  # of the way from the stated calibration to the other one
+CALIBRATION_STEP = 0.25  # of the way from the stated calibration to the corrected one
 HEIGHT_STEP_M = 1.0
 FOCAL_STEP = 0.005  # of the natural logarithm of the principal distance
 K1_STEP = 0.005  # of the first coefficient of radial distortion
 TIME_STEP_S = 0.25
 
 # Large mistakes that users make.
-SCALES = (0.25, 0.5, 2.0 / 3.0, 0.8, 1.25, 1.5, 2.0, 4.0)  # of images, or of crops
+SCALES = (0.25, 0.5, 2.0 / 3.0, 0.8, 1.25, 1.5, 2.0, 4.0)  # of resized images, and of crops
 SENSOR_WIDTHS_MM = (6.2, 13.2, 17.3, 23.5, 36.0, 43.8, 53.4)
-SHORTEST_FOCAL = 0.2  # of the width of the image: a shorter one is that in millimetres
+SHORTEST_FOCAL = 0.2  # of the width of the image: a shorter one may be in millimetres
 TIMES_S = (0.5, 1.0, 2.0, 5.0, 10.0, 18.0, 60.0, 1800.0, 3600.0, 7200.0)  # 18 leap seconds
 MORE_ROLL_PITCH_YAW_DEG = (
     (0, 0, 90),
@@ -54,48 +54,44 @@ MORE_ROLL_PITCH_YAW_DEG = (
 class StatedMission:
     """What a mission file states, as far as tie points can contradict it.
 
-    ``rays`` gives the apparent rays by the cameras that took the images and the axes of their
-    pixels (x and y ``exchanged``, y ``upward``), by name of the camera. ``mounts`` are empty where
-    orientations are the cameras' own. ``shifted`` gives the orientations that many seconds later,
-    in the same rows, where there is a trajectory. ``sigma_heights_m`` is what the heights of the
-    ground may be off together, ``sigma_height_m`` a single one, ``heights_of`` the points whose
-    given heights count, ``other_heights_m`` names for what may have to be added to stations;
-    ``one_height`` is given for all points.
+    ``rays`` computes the apparent rays from cameras, and from the axes of their pixels: "exchanged"
+    (x and y) or "upward" (y), by camera; a camera without an entry has x right, y down.
+    ``shifted`` computes the orientations, in the same rows, at times later by some seconds.
     """
 
     orientations: Orientations
     cameras: Mapping[str, Camera]
     rays: Callable[[Mapping[str, Camera], Mapping[str, str]], ImageRays]
-    mounts: Mapping[str, Mount] = field(default_factory=dict)
-    shifted: Callable[[float], Orientations] | None = None
-    sigma_heights_m: float = 0.0
-    sigma_height_m: float = 1.0
-    heights_of: tuple[int, ...] = ()
-    other_heights_m: Mapping[str, float] = field(default_factory=dict)
-    one_height: bool = False
+    mounts: Mapping[str, Mount] = field(default_factory=dict)  # empty: attitudes are of cameras
+    shifted: Callable[[float], Orientations] | None = None  # None without a trajectory
+    sigma_heights_m: float = 0.0  # of an error that all given heights share
+    sigma_height_m: float = 1.0  # of a single given height
+    heights_of: tuple[int, ...] = ()  # points with a given height that counts
+    other_heights_m: Mapping[str, float] = field(default_factory=dict)  # known causes: up_m by name
+    one_height: bool = False  # one given height for all points
 
     def camera_from_body(self, camera: str) -> Array:
-        """(3, 3) the stated mount, or that of a camera which looks down."""
+        """(3, 3) rotation of the stated mount; without a mount, of a camera that looks down."""
         return self.mounts.get(camera, Mount()).camera_from_body
 
     @property
     def without_heights(self) -> StatedMission:
-        """The same, of which no given height counts."""
+        """The same mission, without given heights."""
         return replace(self, heights_of=())
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One way to read a mission file: what is changed against what is stated."""
+    """One way to read a mission file, with changes of what it states."""
 
     cameras: Mapping[str, Camera]
-    axes: Mapping[str, str] = field(default_factory=dict)
-    turns: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) by camera
-    time_s: float = 0.0
-    up_m: float = 0.0
+    axes: Mapping[str, str] = field(default_factory=dict)  # of pixels: `StatedMission.rays`
+    turns: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) in the camera, by camera
+    time_s: float = 0.0  # exposures later by this
+    up_m: float = 0.0  # stations higher by this
 
     def orientations(self, mission: StatedMission) -> Orientations:
-        """The orientations of the mission, read this way."""
+        """The orientations of the mission with the changes of this reading."""
         orientations = mission.orientations
         if self.time_s and mission.shifted is not None:
             orientations = mission.shifted(self.time_s)
@@ -107,17 +103,20 @@ class Reading:
         return orientations
 
     def rays(self, mission: StatedMission) -> ImageRays:
-        """The apparent rays of the mission, read this way."""
+        """The apparent rays of the mission with the changes of this reading."""
         return mission.rays(self.cameras, self.axes)
 
     def misses(self, mission: StatedMission, points: Intersection) -> Array:
-        """(r, 2) what the apparent rays miss points by that were intersected otherwise [rad]."""
+        """(r, 2) misses [rad] of the apparent rays at points that another reading intersected."""
         orientations = self.orientations(mission)
         rays = self.rays(mission)
         return points.misses(orientations, rays)
 
     def intersected(self, mission: StatedMission, points: Integers | None = None) -> Intersection:
-        """The intersection of all points by straight rays, or of ``points`` by apparent rays."""
+        """The intersection of all points by straight rays; or of some, by apparent rays.
+
+        Apparent rays are faster. ``points`` are numbers of points, None for all.
+        """
         orientations = self.orientations(mission)
         rays = self.rays(mission)
         if points is not None:
@@ -131,17 +130,17 @@ class Reading:
         return intersect(orientations, rays)
 
     def with_cameras(self, cameras: Mapping[str, Camera]) -> Reading:
-        """The same with other calibrations of some cameras."""
+        """The same reading with other calibrations of some cameras."""
         return replace(self, cameras={**self.cameras, **cameras})
 
     def turned(self, camera: str, turn: Array) -> Reading:
-        """The same with one camera turned further."""
+        """The same reading with one camera turned further, by a rotation (3, 3) in its frame."""
         turn_before = self.turns.get(camera, np.eye(3))
         turned = turn @ turn_before
         return replace(self, turns={**self.turns, camera: turned})
 
-    def settled(self, mission: StatedMission) -> Reading:
-        """The same with every camera turned to where the rays meet best."""
+    def with_best_turns(self, mission: StatedMission) -> Reading:
+        """The same reading with every camera turned to where the rays meet best."""
         intersection = self.intersected(mission)
         reading = self
         for name in self.cameras:
@@ -153,17 +152,14 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class PossibleMistake:
-    """A change by an amount of what is stated; ``step`` is 0 where it has no amount.
-
-    ``reading_by`` gives the reading for an amount; ``cameras`` are those that are changed.
-    """
+    """A hypothesis: a change, by an amount, of what the mission file states."""
 
     code: str
-    label: str
-    cameras: tuple[str, ...]
-    reading_by: Callable[[float], Reading]
+    label: str  # which mistake of its kind, in words; empty for an error without a name
+    cameras: tuple[str, ...]  # that are changed; empty if it concerns all stations
+    reading_by: Callable[[float], Reading]  # the reading for an amount
     amount: float = 0.0
-    step: float = 0.0
+    step: float = 0.0  # first change of the amount to find the best; 0: there is no amount
 
     @property
     def reading(self) -> Reading:
@@ -172,14 +168,14 @@ class PossibleMistake:
 
     @property
     def camera(self) -> str:
-        """The one camera, empty where there are several."""
+        """The camera of a mistake of one camera; empty for several or none."""
         return self.cameras[0] if len(self.cameras) == 1 else ""
 
     @property
     def subject(self) -> tuple[str, str]:
-        """What two hypotheses have in common that are one.
+        """Key for comparison: equal for hypotheses that are the same mistake.
 
-        Calibrations do not meet when they are estimated: those of other names are others.
+        Estimates of calibrations stay apart: those with another label are another mistake.
         """
         if self.code == "TIES-CALIBRATION":
             return self.code, self.label or self.camera
@@ -187,9 +183,10 @@ class PossibleMistake:
 
     @property
     def log_odds(self) -> float:
-        """How likely the mistake is beforehand, as a natural logarithm.
+        """Prior log odds of the mistake.
 
-        More if it has a name, less if all cameras have it alike.
+        Higher for a mistake with a label, which users are known to make; lower for an error of the
+        calibration that all cameras have alike.
         """
         if self.label:
             return LOG_RATIO_NEEDED
@@ -201,7 +198,7 @@ class PossibleMistake:
 
 @dataclass(frozen=True, eq=False)
 class LinearEstimate:
-    """The most likely amount of a hypothesis, and what the log likelihood gains by it."""
+    """The most likely amount of a hypothesis, and the gain of the log likelihood by it."""
 
     hypothesis: PossibleMistake
     amount: float
@@ -213,11 +210,12 @@ def linear_estimates(
     current: Reading,
     intersection: Intersection,
     hypotheses: Sequence[PossibleMistake],
-    beside: Array,
+    shared: Array,
 ) -> list[LinearEstimate]:
-    """The estimate of each hypothesis alone, with errors of stations ``beside`` it.
+    """Linear estimates of the amounts, of each hypothesis alone.
 
-    ``intersection`` is that of the ``current`` reading.
+    ``intersection`` is that of the ``current`` reading. ``shared`` (s, 6, b) are errors of stations
+    that are estimated together with each (`Intersection.likely_amounts`).
     """
     misses = current.misses(mission, intersection)
     changes = [np.zeros((intersection.bad.size, 2, 0))]
@@ -225,7 +223,7 @@ def linear_estimates(
         step = hypothesis.amount or hypothesis.step
         change = hypothesis.reading_by(step).misses(mission, intersection) - misses
         changes.append(np.nan_to_num(change / step)[:, :, None])
-    gains, amounts = intersection.likely_amounts(np.concatenate(changes, axis=2), beside)
+    gains, amounts = intersection.likely_amounts(np.concatenate(changes, axis=2), shared)
     estimates = []
     for number, hypothesis in enumerate(hypotheses):
         amount = float(amounts[number])
@@ -238,16 +236,16 @@ def linear_estimates(
 
 
 def turned_mount(reading: Reading, camera: str, turn: Array, label: str = "") -> PossibleMistake:
-    """A mount that is turned by a matrix; it has no amount."""
+    """The hypothesis that a mount is turned, by a rotation (3, 3) in the camera; no amount."""
     turned = reading.turned(camera, turn)
     return PossibleMistake("TIES-MOUNT", label, (camera,), lambda _: turned)
 
 
 def raised_stations(reading: Reading) -> PossibleMistake:
-    """All stations higher, by metres."""
+    """The hypothesis that all stations are higher; the amount is in metres."""
 
-    def raised(metres: float) -> Reading:
-        return replace(reading, up_m=reading.up_m + metres)
+    def raised(up_m: float) -> Reading:
+        return replace(reading, up_m=reading.up_m + up_m)
 
     return PossibleMistake(
         "TIES-HEIGHT",
@@ -259,10 +257,10 @@ def raised_stations(reading: Reading) -> PossibleMistake:
 
 
 def later_exposures(reading: Reading, seconds: float) -> PossibleMistake:
-    """All exposures later, by seconds."""
+    """The hypothesis that all exposures are later; the amount is in seconds."""
 
-    def later(more_seconds: float) -> Reading:
-        return replace(reading, time_s=reading.time_s + more_seconds)
+    def later(later_s: float) -> Reading:
+        return replace(reading, time_s=reading.time_s + later_s)
 
     return PossibleMistake(
         "TIES-TIME",
@@ -277,7 +275,10 @@ def later_exposures(reading: Reading, seconds: float) -> PossibleMistake:
 def scaled_focal(
     reading: Reading, cameras: tuple[str, ...], factor: float, label: str = ""
 ) -> PossibleMistake:
-    """Other principal distances of some cameras; the amount is ln(other / stated)."""
+    """The hypothesis of other principal distances of some cameras, at first by ``factor``.
+
+    The amount is ln(other / stated).
+    """
 
     def scaled(log_scale: float) -> Reading:
         scale = np.exp(log_scale)
@@ -302,7 +303,7 @@ def scaled_focal(
 
 
 def radial_distortion(reading: Reading, cameras: tuple[str, ...]) -> PossibleMistake:
-    """More radial distortion of some cameras, by what is added to k1."""
+    """The hypothesis of another radial distortion of some cameras; the amount is added to k1."""
     k1_of_cameras = first_coefficients(reading.cameras, cameras).tolist()
 
     def distorted(added: float) -> Reading:
@@ -323,7 +324,7 @@ def radial_distortion(reading: Reading, cameras: tuple[str, ...]) -> PossibleMis
 
 
 def first_coefficients(cameras: Mapping[str, Camera], names: Iterable[str]) -> Array:
-    """The first coefficients of radial distortion, NaN in a model without it."""
+    """(n,) coefficients k1 of radial distortion of the named cameras, NaN in a model without."""
     coefficients = []
     for name in names:
         lens = cameras[name].distortion._asdict()
@@ -334,7 +335,7 @@ def first_coefficients(cameras: Mapping[str, Camera], names: Iterable[str]) -> A
 def other_calibration(
     reading: Reading, corrected: Mapping[str, Camera], mistake: str
 ) -> PossibleMistake:
-    """Calibrations without a mistake, at 1; of one that is a little off another amount is best."""
+    """The hypothesis of corrected calibrations; the amount is 0 for the stated, 1 for these."""
 
     def partly(share: float) -> Reading:
         mixed = {}
@@ -356,7 +357,7 @@ def other_calibration(
 
 
 def other_calibrations(reading: Reading) -> list[PossibleMistake]:
-    """Mistaken calibrations, each without its mistake."""
+    """The hypotheses of all `mistaken_calibrations`."""
     hypotheses = []
     for mistake, corrected in mistaken_calibrations(reading.cameras):
         hypotheses.append(other_calibration(reading, corrected, mistake))
@@ -366,9 +367,10 @@ def other_calibrations(reading: Reading) -> list[PossibleMistake]:
 def small_errors(
     mission: StatedMission, reading: Reading, intersection: Intersection, least_gain: float
 ) -> Iterator[PossibleMistake]:
-    """Errors that all stations share, by which the log likelihood gains ``least_gain`` or more.
+    """Hypotheses of small errors with a linear estimate that gains ``least_gain`` or more.
 
-    ``intersection`` is that of the ``reading``.
+    They are turned mounts, higher stations, other principal distances, radial distortions and later
+    exposures. The gain is that of the log likelihood; ``intersection`` is that of ``reading``.
     """
     names = flown_cameras(reading, intersection.orientations)
     for name in names:
@@ -386,14 +388,17 @@ def small_errors(
             hypotheses.append(radial_distortion(reading, group))
     if mission.shifted is not None:
         hypotheses.append(later_exposures(reading, 0.0))
-    beside = np.zeros((intersection.orientations.camera.size, 6, 0))
-    for estimate in linear_estimates(mission, reading, intersection, hypotheses, beside):
+    no_shared = np.zeros((intersection.orientations.camera.size, 6, 0))
+    for estimate in linear_estimates(mission, reading, intersection, hypotheses, no_shared):
         if estimate.gain >= least_gain:
             yield with_linear_amount(estimate)
 
 
 def with_linear_amount(estimate: LinearEstimate) -> PossibleMistake:
-    """A hypothesis at its estimated amount, if what it changes is as good as linear in it."""
+    """The hypothesis at its estimated amount, if the rays change linearly with the amount.
+
+    Others start from their first amount.
+    """
     hypothesis = estimate.hypothesis
     if hypothesis.code in ("TIES-HEIGHT", "TIES-CALIBRATION"):
         return replace(hypothesis, amount=estimate.amount)
@@ -406,7 +411,7 @@ def flown_cameras(reading: Reading, orientations: Orientations) -> list[str]:
 
 
 def large_mistakes(mission: StatedMission, reading: Reading) -> Iterator[PossibleMistake]:
-    """Large mistakes that users make, each as far as it changes anything."""
+    """Hypotheses of the large mistakes that users make."""
     for name in reading.cameras:
         yield from mistaken_mounts(mission, reading, name)
         yield from mistaken_focals(reading, name)
@@ -424,7 +429,7 @@ def large_mistakes(mission: StatedMission, reading: Reading) -> Iterator[Possibl
 def mistaken_mounts(
     mission: StatedMission, reading: Reading, camera: str
 ) -> Iterator[PossibleMistake]:
-    """A mount with angles of other units, signs or order, or quarter and half turns more."""
+    """Mounts with angles in other units, signs or order, and with quarter or half turns more."""
     mount = mission.mounts.get(camera, Mount())
     angles = np.array([mount.roll_rad, mount.pitch_rad, mount.yaw_rad])
     other_angles = {}
@@ -441,7 +446,7 @@ def mistaken_mounts(
 
 
 def mistaken_focals(reading: Reading, name: str) -> Iterator[PossibleMistake]:
-    """A principal distance of images of another size, or in millimetres, of one camera and all."""
+    """Principal distances of another image size or in millimetres, of one camera and of all."""
     camera = reading.cameras[name]
     groups: list[tuple[str, ...]] = [(name,)]
     if len(reading.cameras) > 1:
@@ -456,7 +461,7 @@ def mistaken_focals(reading: Reading, name: str) -> Iterator[PossibleMistake]:
 
 
 def other_pixel_axes(reading: Reading, cameras: tuple[str, ...], axes: str) -> PossibleMistake:
-    """Pixels of some cameras along other axes; it has no amount."""
+    """The hypothesis of other pixel axes ("exchanged" or "upward") of some cameras; no amount."""
     changed = replace(reading, axes={**reading.axes, **dict.fromkeys(cameras, axes)})
     return PossibleMistake("TIES-PIXELS", axes, cameras, lambda _: changed)
 
@@ -464,7 +469,7 @@ def other_pixel_axes(reading: Reading, cameras: tuple[str, ...], axes: str) -> P
 def exchanged_cameras(
     mission: StatedMission, reading: Reading, first: str, second: str
 ) -> PossibleMistake:
-    """The images of two cameras exchanged; it has no amount."""
+    """The hypothesis that the images of two cameras are exchanged; no amount."""
     cameras = {
         first: reading.cameras[second],
         second: reading.cameras[first],

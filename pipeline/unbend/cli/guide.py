@@ -6,7 +6,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from unbend.caches import compiled_code
+from unbend.caches import compiled_code_folder
 from unbend.cli import messages
 from unbend.cli.app import GROUPS, Answer, command
 from unbend.errors import UnbendError, storage_errors
@@ -141,7 +141,7 @@ def warm(answer: Answer) -> None:
 
         folder = cache_folder()
         if folder is None:
-            raise messages.no_place_for_compiled_code(path=compiled_code())
+            raise messages.no_place_for_compiled_code(path=compiled_code_folder())
         correct_one_image()
     answer.print_json({"compiled": folder})
     answer.print_paths([folder])

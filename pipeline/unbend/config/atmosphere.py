@@ -159,7 +159,7 @@ class SurfaceSection(Section):
 
     @property
     def time_ns(self) -> int | None:
-        """The time of the report [Unix ns]; without an offset it is UTC."""
+        """The time of the report [Unix ns], None where not given; UTC if it has no offset."""
         return None if self.time_utc is None else nanoseconds_of_time(self.time_utc)
 
 
@@ -315,15 +315,11 @@ class GnssSection(Section):
 
 
 class CalibrationKey(NamedTuple):
-    """Where the mission file states a fault of a sensor.
+    """Where the mission file states a fault of a sensor, and in which unit."""
 
-    ``key`` is that of the value of the fault; the key of its standard deviation is the same after
-    ``sigma_``. ``unit`` is the unit of both keys in SI units.
-    """
-
-    sensor: str
-    key: str
-    unit: float = 1.0
+    sensor: str  # section under ``atmosphere.sensors``
+    key: str  # of the value; the key of its standard deviation is the same with ``sigma_`` before
+    si_per_unit: float = 1.0  # of both keys
 
 
 CALIBRATION_KEYS = {
@@ -361,11 +357,11 @@ class SensorsSection(Section):
 
     @property
     def calibration(self) -> dict[SensorFault, SensorCalibration]:
-        """The stated calibrations by sensor fault, in SI units."""
+        """The stated calibrations in SI units, by sensor fault; faults without any are left out."""
         calibrations = {}
         for fault, (sensor, key, si_per_unit) in CALIBRATION_KEYS.items():
             section = getattr(self, sensor)
-            mean = getattr(section, key, None)  # some faults have a key of their sigma alone
+            mean = getattr(section, key, None)  # some faults have only a key of the sigma
             sigma = getattr(section, f"sigma_{key}")
             if mean is None and sigma is None:
                 continue

@@ -1,4 +1,4 @@
-"""What the block of another program fills in: its cameras and orientations are in its files."""
+"""Fill in cameras and orientations that a block of another program has in its own files."""
 
 from typing import Any
 
@@ -16,14 +16,15 @@ INTERIOR_ORIENTATION = {
     "cy_px",
     "distortion",
 }
-"""Keys of which a camera has one, unless its orientation is that of the observations' block."""
+"""A camera without any of these keys gets its interior orientation from the block."""
 
 
 def with_block(values: dict[str, Any]) -> dict[str, Any]:
-    """The values of a mission file, with the cameras and orientations of its block of observations.
+    """The values of a mission file; if its observations are a block, with references to the block.
 
-    Without a block as observations they stay as they are. ``values`` are unchecked: a section that
-    is no mapping is left as it is, to be refused later.
+    Cameras and ``stations.orientation`` then name the file of the block where they state no source
+    of their own. ``values`` are unchecked: a section that is not a mapping stays, and is refused
+    later.
     """
     observations = values.get("observations")
     if not isinstance(observations, dict) or not is_block(observations.get("format")):
@@ -37,24 +38,24 @@ def with_block(values: dict[str, Any]) -> dict[str, Any]:
     if stations is None:
         stations = {}
     if isinstance(stations, dict):
-        others_give_stations = values.get("log") or values.get("events")
-        filled["stations"] = _with_orientation(stations, block, alone=not others_give_stations)
+        has_log_or_events = bool(values.get("log") or values.get("events"))
+        filled["stations"] = _with_orientation(stations, block, has_log_or_events=has_log_or_events)
     return filled
 
 
 def _with_orientation(
-    stations: dict[str, Any], block: dict[str, Any], *, alone: bool
+    stations: dict[str, Any], block: dict[str, Any], *, has_log_or_events: bool
 ) -> dict[str, Any]:
-    """The section of stations, with the orientation of the block where the block gives it.
+    """The section ``stations``, with path and format of the block in its ``orientation``.
 
-    * An ``orientation`` without a path of its own gets path and format of the block.
-    * A missing ``orientation`` is that of the block if nothing else gives stations: neither log nor
-      events (``alone``), nor a trajectory.
+    * An ``orientation`` without a path gets them.
+    * A missing ``orientation`` is added if nothing else gives stations: neither log nor events nor
+      a trajectory.
     * Any other section stays as it is.
     """
     if "orientation" in stations:
         orientation = stations["orientation"]
-    elif alone and not stations.get("trajectory"):
+    elif not has_log_or_events and not stations.get("trajectory"):
         orientation = {}
     else:
         return stations
@@ -65,7 +66,7 @@ def _with_orientation(
 
 
 def _with_cameras(cameras: dict[str, Any], block: dict[str, Any]) -> dict[str, Any]:
-    """The sections of the cameras; one without a key of `INTERIOR_ORIENTATION` gets the block's."""
+    """The sections of the cameras; one without `INTERIOR_ORIENTATION` gets file and format."""
     filled = {}
     for name, section in cameras.items():
         if not isinstance(section, dict) or section.keys() & INTERIOR_ORIENTATION:

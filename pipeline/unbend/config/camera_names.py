@@ -1,4 +1,4 @@
-"""The names of cameras, which several sections of a mission file have: they must agree."""
+"""Check that the sections of a mission file name the same cameras."""
 
 import difflib
 from collections.abc import Collection, Mapping
@@ -6,14 +6,17 @@ from collections.abc import Collection, Mapping
 from unbend.config.event_sources import EventsSection
 from unbend.config.section import SectionError
 
-SECTION_OF_SOME = "events.csv.camera"
-"""The only section that need not have all cameras: the others have no exposures then."""
+SECTION_OF_ONE_CAMERA = "events.csv.camera"
+"""This section names only one camera: other cameras then have no exposures."""
 
 
 def cameras_by_section(
     mount: Collection[str], events: EventsSection | None
 ) -> dict[str, frozenset[str]]:
-    """The names of cameras under each section that has such names, by the section's key."""
+    """The names of cameras in each section that names cameras, by the key of the section.
+
+    ``mount`` are the names under ``mount``.
+    """
     named = {"mount": frozenset(mount)}
     if events is None:
         return named
@@ -22,12 +25,12 @@ def cameras_by_section(
     if events.positions is not None:
         named["events.positions"] = frozenset(events.positions)
     if events.csv is not None and events.csv.camera is not None:
-        named[SECTION_OF_SOME] = frozenset({events.csv.camera})
+        named[SECTION_OF_ONE_CAMERA] = frozenset({events.csv.camera})
     return named
 
 
 def check_table_of_exposures(cameras: Collection[str], events: EventsSection | None) -> None:
-    """Refuse (SectionError) a table of exposures that does not say which of several cameras."""
+    """Refuse (SectionError) a table of exposures that leaves open of which camera a row is."""
     if events is None or events.csv is None or len(cameras) < 2:
         return
     if events.csv.camera is None and events.csv.columns.camera is None:
@@ -51,7 +54,7 @@ def check_camera_names(
             raise _unknown_camera(cameras, named, section, unknown[0])
     for section, names in named.items():
         without_entry = sorted(set(cameras) - names)
-        if without_entry and section != SECTION_OF_SOME:
+        if without_entry and section != SECTION_OF_ONE_CAMERA:
             name = without_entry[0]
             raise SectionError(
                 f"camera {name!r} has no entry under {section}",
@@ -65,17 +68,18 @@ def _unknown_camera(
     section: str,
     name: str,
 ) -> SectionError:
-    """What is wrong with a name in a section that is not under cameras.
+    """The error for a ``name`` in a section that is not under cameras.
 
-    The odd one out is wrong: where two sections agree on a name, that under cameras is.
+    The mistake is in the section. But if another section has this name too, and none has the most
+    similar name under cameras, the mistake is under cameras.
     """
-    lacking = sorted(set(cameras) - named[section])
-    candidates = lacking or sorted(cameras)
+    missing_in_section = sorted(set(cameras) - named[section])
+    candidates = missing_in_section or sorted(cameras)
     nearest = difflib.get_close_matches(name, candidates, n=1, cutoff=0.0)[0]
-    with_name = [other for other, names in named.items() if name in names]
+    sections_with_name = [other for other, names in named.items() if name in names]
     has_nearest = any(nearest in names for names in named.values())
-    if len(with_name) > 1 and not has_nearest:
-        sections = " and ".join(with_name)
+    if len(sections_with_name) > 1 and not has_nearest:
+        sections = " and ".join(sections_with_name)
         return SectionError(
             f"cameras names camera {nearest!r}, but {sections} name camera {name!r}; perhaps "
             f"{name!r} under cameras?",

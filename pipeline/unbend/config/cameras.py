@@ -77,8 +77,8 @@ class DistortionSection(Section):
     )
 
 
-OTHER_WAYS = ("file", "model", "params", "metric")
-"""Keys that give the interior orientation in the place of numbers."""
+KEYS_INSTEAD_OF_NUMBERS = ("file", "model", "params", "metric")
+"""Keys that give the interior orientation instead of f_px, cx_px and so on."""
 
 
 class CameraSection(Section):
@@ -237,21 +237,23 @@ class CameraSection(Section):
     @field_validator("cx_px", "cy_px")
     @classmethod
     def _require_principal_point(cls, value: float | None, info: ValidationInfo) -> float | None:
-        if value is None and all(info.data.get(name) is None for name in OTHER_WAYS):
-            raise SectionError(f"is missing, and there is no {' or '.join(OTHER_WAYS)}")
+        if value is None and all(info.data.get(name) is None for name in KEYS_INSTEAD_OF_NUMBERS):
+            raise SectionError(
+                f"is missing, and there is no {' or '.join(KEYS_INSTEAD_OF_NUMBERS)}"
+            )
         return value
 
     @property
     def _states_numbers(self) -> bool:
-        """Whether any number of the interior orientation is in the section itself."""
+        """Whether the section has a number of the interior orientation, as f_px or cx_px."""
         numbers = (self.f_px, self.fx_px, self.fy_px, self.cx_px, self.cy_px, self.distortion)
         return any(number is not None for number in numbers)
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
-        """One way to give the interior orientation, completely.
+        """The interior orientation is given in one way only, and completely.
 
-        ``format`` goes only with a file, ``pixel_origin`` only without.
+        ``format`` is only for a file, ``pixel_origin`` only for a camera without a file.
         """
         if (self.model is None) != (self.params is None):
             raise SectionError("give model and params together, as they are in cameras.txt")
@@ -265,9 +267,9 @@ class CameraSection(Section):
         if self._states_numbers:
             ways.append("f_px, cx_px, distortion")
         if len(ways) > 1:
-            given = ", ".join(ways)
+            stated_ways = ", ".join(ways)
             raise SectionError(
-                f"{given}: each of them gives the interior orientation; keep only one"
+                f"{stated_ways}: each of them gives the interior orientation; keep only one"
             )
         if self.file is None and self.format is not None:
             raise SectionError("format needs file")
@@ -278,15 +280,16 @@ class CameraSection(Section):
         return self
 
     def _check_principal_distances(self) -> None:
-        single = self.f_px is not None
-        along_x = self.fx_px is not None
-        along_y = self.fy_px is not None
-        if along_x != along_y or single == along_x:
+        """Either f_px is given, or both fx_px and fy_px."""
+        has_f = self.f_px is not None
+        has_fx = self.fx_px is not None
+        has_fy = self.fy_px is not None
+        if has_fx != has_fy or has_f == has_fx:
             raise SectionError("give f_px, or both fx_px and fy_px")
 
     @model_validator(mode="after")
     def _check_camera(self) -> Self:
-        """A camera that can be one; that of a file is built when the file is read."""
+        """The numbers are possible for a camera; those of a file are checked when it is read."""
         if self.file is not None:
             return self
         try:
@@ -323,44 +326,53 @@ class CameraSection(Section):
 
     @property
     def needs_cabin(self) -> bool:
-        """Whether a number depends on the cabin's air: behind a spherical window only the lens."""
+        """Whether the correction depends on the cabin's air.
+
+        Behind a plane window it does; behind a spherical one only the principal distance does.
+        """
         if self.window is None or self.window.cabin is None:
             return False
         return self.window.shape == "plane" or self.principal_distance is not None
 
     @property
     def needs_cabin_from_log(self) -> bool:
-        """Whether a number depends on the cabin's air, and that is to come from the log."""
+        """Whether the correction depends on the cabin's air (`needs_cabin`) from the log."""
         if self.window is None:
             return False
         cabin = self.window.window.cabin
         if cabin is None:
             return False
-        of_log = cabin.source == "log" or cabin.temperature_logged
-        return of_log and self.needs_cabin
+        is_from_log = cabin.source == "log" or cabin.temperature_logged
+        return is_from_log and self.needs_cabin
 
     @cached_property
     def lens(self) -> AnyLens | None:
-        """How the principal distance follows the air; None where the file does not state it."""
+        """How the principal distance changes with the air; None if that is not stated."""
         if self.principal_distance is None:
             return None
         camera = self.interior_orientation
-        # The smaller of two, to which a change is the larger part.
+        # The smaller of two: a change in pixels is the larger share of it.
         return self.principal_distance.build(min(camera.fx_px, camera.fy_px))
 
     @cached_property
     def interior_orientation(self) -> Camera:
-        """The camera in COLMAP's pixels, once its file is read; pixels count from the corner."""
+        """The camera in COLMAP's pixels; ValueError before its file is read.
+
+        A principal point without a ``pixel_origin`` of its own counts from the corner.
+        """
         return self._camera("corner")
 
     def interior_orientation_by(self, pixel_origin: PixelOrigin) -> Camera:
-        """The camera in COLMAP's pixels, where it has no origin of its own from that given."""
+        """As `interior_orientation`, but a principal point counts from this origin by default."""
         if self.pixel_origin is not None or pixel_origin == "corner":
             return self.interior_orientation
         return self._camera(pixel_origin)
 
     def image_frame(self, pixel_origin: PixelOrigin, unit_mm: float) -> ImageFrame | None:
-        """The frame of image coordinates in a unit [mm]; None without the report of the camera."""
+        """The frame of image coordinates in a unit of ``unit_mm`` millimetres.
+
+        None for a camera without a metric report.
+        """
         if self.metric is None:
             return None
         size_px = (self.width_px or 0, self.height_px or 0)
@@ -369,6 +381,7 @@ class CameraSection(Section):
         )
 
     def _camera(self, pixel_origin: PixelOrigin) -> Camera:
+        """The camera in COLMAP's pixels; ``pixel_origin`` counts if the section has none."""
         width = self.width_px or 0
         height = self.height_px or 0
         pixels = PixelSystem(self.pixel_origin or pixel_origin)
@@ -396,9 +409,10 @@ class CameraSection(Section):
         )
 
     def with_file(self, path: Path) -> Self:
-        """The section with model and parameters of its file, which is at ``path``.
+        """The section with ``model`` and ``params`` of its file, which is at ``path``.
 
-        Refuses as `read_camera`, and a file whose images have another size (CAMERA-SIZE).
+        Refuses as `read_camera`; and images of another size (CAMERA-SIZE), and an impossible
+        camera (CAMERA-FILE).
         """
         name = None if self.camera is None else str(self.camera)
         camera = read_camera(path, self.format, name)
@@ -414,15 +428,15 @@ class CameraSection(Section):
             )
         model, params = model_of_camera(camera)
         values_of_file = {"model": model, "params": params, "width_px": width, "height_px": height}
-        kept = self.model_dump(exclude={"file", "format", "camera"}, exclude_unset=True)
+        other_keys = self.model_dump(exclude={"file", "format", "camera"}, exclude_unset=True)
         try:
-            return type(self).model_validate(kept | values_of_file)
+            return type(self).model_validate(other_keys | values_of_file)
         except ValidationError as error:
             raise messages.camera_file(path=path, problem=_problem_of_file(error)) from None
 
 
 def _problem_of_file(error: ValidationError) -> str:
-    """The first thing that is wrong with the camera of a file."""
+    """The first error of pydantic about the camera of a file, in words."""
     first = error.errors()[0]
     if first["type"] == "value_error":
         return str(first["ctx"]["error"])

@@ -33,7 +33,7 @@ class MissionRef:
     """A mission to run, small and of plain values: it can be sent to another process or machine.
 
     path : the mission file, or the campaign file in which the mission stands.
-    defaults : sections of the campaign, as JSON; they hold where the mission has none.
+    defaults : sections of the campaign, as JSON, for keys that the mission does not state.
     own : sections of the mission, as JSON, if it stands in the campaign file itself.
     campaign : the campaign file; empty for a mission without one.
     """
@@ -45,7 +45,7 @@ class MissionRef:
 
     @classmethod
     def of(cls, mission: MissionRef | Path | str) -> MissionRef:
-        """A reference as it is, or the reference to a mission file without a campaign."""
+        """A reference as it is; for a path, the reference to this mission file."""
         if isinstance(mission, MissionRef):
             return mission
         return cls(Path(mission))
@@ -57,7 +57,7 @@ class MissionRef:
 
     @property
     def _own_name(self) -> str:
-        """The name of a mission that stands in the campaign file itself."""
+        """The name of a mission that stands in the campaign file itself; else empty."""
         if not self.own:
             return ""
         sections = json.loads(self.own)
@@ -65,13 +65,13 @@ class MissionRef:
 
     @property
     def label(self) -> str:
-        """What messages call the mission: its file; its name too if it stands in a campaign."""
+        """How messages name the mission: its file, and its name if it is in a campaign file."""
         if not self.own:
             return str(self.path)
         return f"{self.path}: {self._own_name}"
 
     @property
-    def words(self) -> tuple[str, ...]:
+    def run_arguments(self) -> tuple[str, ...]:
         """The arguments of `unbend run` that run this mission alone; the last names the mission."""
         name = self._own_name or str(self.path)
         if not self.campaign:
@@ -90,20 +90,20 @@ class MissionRef:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign file as understood: its name, the folder of its page, and its missions."""
+    """A campaign file that was read and checked."""
 
     path: Path
     name: str
-    output: Path
+    output: Path  # folder of its page and table
     missions: tuple[MissionRef, ...]
 
 
 def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign]]:
-    """The missions of some mission files and campaign files, and the campaigns.
+    """The missions of some mission files and campaign files, and the campaigns among these.
 
-    Missions stand in the order of ``paths``; a file that is named twice counts once. Refuses as
-    `campaign_of`; a file that cannot be read counts as a mission file, which is refused when the
-    mission's turn comes.
+    Missions are in the order of ``paths``; a file that is named twice counts once. Refuses as
+    `campaign_of`. A file that cannot be read counts as a mission file: it is refused when the
+    mission is loaded.
     """
     missions: list[MissionRef] = []
     campaigns: list[Campaign] = []
@@ -122,7 +122,7 @@ def open_configs(paths: Iterable[Path]) -> tuple[list[MissionRef], list[Campaign
 
 
 def _campaign_at(path: Path) -> Campaign | None:
-    """The campaign of a file; None for a file that holds something else, or cannot be read."""
+    """The campaign of a file; None for any other file, and for one that cannot be read."""
     if not path.is_file():  # a pipe might never end; `read_yaml` says what is wrong
         return None
     try:
@@ -143,15 +143,14 @@ def campaign_of(path: Path, values: dict[str, Any], node: yaml.Node) -> Campaign
     """Check the values of a campaign file; refuses (ConfigError) every mistake with its line.
 
     The defaults and the missions that stand in the file are checked too. Mission files are not
-    opened; a pattern that matches none is refused.
+    opened; a pattern without a matching file is refused. ``node`` has the lines of ``values``.
     """
     values_with_defaults = _with_defaults(values)
-    # What the models refuse of the campaign's sections, of its defaults and of its missions.
-    items = _refused(CampaignFile, values)
-    items += _refused_defaults(values)
-    items += _refused_missions(values_with_defaults)
-    if items or open_questions(values):
-        raise refusal_of(items, values_with_defaults, node, str(path))
+    errors = _errors_of(CampaignFile, values)
+    errors += _errors_of_defaults(values)
+    errors += _errors_of_missions(values_with_defaults)
+    if errors or open_questions(values):
+        raise refusal_of(errors, values_with_defaults, node, str(path))
     section = values["campaign"]
     output = section["output"]
     if _URL.match(output):
@@ -181,33 +180,38 @@ def _with_defaults(values: dict[str, Any]) -> dict[str, Any]:
         return values
     missions = []
     for section in stated_missions:
-        complete = merged(defaults, section) if isinstance(section, dict) else section
-        missions.append(complete)
+        is_mission = isinstance(section, dict)  # and not a path
+        missions.append(merged(defaults, section) if is_mission else section)
     return values | {"missions": missions}
 
 
-def _refused(model: type[BaseModel], values: object, *, at: Place = ()) -> list[Mapping[str, Any]]:
-    """What a model refuses of the values at a place of the file."""
+def _errors_of(
+    model: type[BaseModel], values: object, *, place: Place = ()
+) -> list[Mapping[str, Any]]:
+    """Errors of pydantic when a model checks the values at a place of the file.
+
+    The place is put before their own places (``loc``). Empty for values that are not a mapping.
+    """
     if not isinstance(values, dict):
         return []
     try:
         model.model_validate(values)
     except ValidationError as error:
-        items = error.errors(include_url=False)
-        return [{**item, "loc": (*at, *item["loc"])} for item in items]
+        errors = error.errors(include_url=False)
+        return [{**item, "loc": (*place, *item["loc"])} for item in errors]
     return []
 
 
-def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """What is wrong with the defaults of a campaign, whatever a mission adds to them.
+def _errors_of_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Errors in the defaults of a campaign that no mission can correct.
 
-    Passed over is what a mission may still set right:
+    Left out are errors that a mission may still correct:
 
     * a missing key, which the mission may state;
-    * keys of a section that do not go together, of which the mission may replace one. The validator
-      of a section reports them; a mistake of one key, which it may report too, it names.
+    * keys of a section that do not go together: the mission may replace one. The validator of the
+      section reports these, without naming a key; a mistake of one key has the name of the key.
     """
-    for item in _refused(Mission, values.get("defaults", {}), at=("defaults",)):
+    for item in _errors_of(Mission, values.get("defaults", {}), place=("defaults",)):
         error = item.get("ctx", {}).get("error")
         names_one_key = isinstance(error, SectionError) and bool(error.key)
         is_of_section = item["type"] == "value_error" and isinstance(item["input"], dict)
@@ -217,8 +221,8 @@ def _refused_defaults(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
         yield item
 
 
-def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """What is wrong with the missions that stand in a campaign file.
+def _errors_of_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Errors in the missions that stand in a campaign file.
 
     ``values`` are those of the file, with its defaults in its missions.
     """
@@ -232,14 +236,14 @@ def _refused_missions(values: dict[str, Any]) -> Iterator[Mapping[str, Any]]:
     for number, mission in enumerate(missions):
         if isinstance(mission, dict):
             mission_with_output = merged({"output": default_output}, mission)
-            yield from _refused(Mission, mission_with_output, at=("missions", number))
+            yield from _errors_of(Mission, mission_with_output, place=("missions", number))
 
 
 class ListedMission(NamedTuple):
-    """A mission of a campaign: its file, or the campaign file and as JSON its ``own`` sections."""
+    """A mission of a campaign."""
 
-    file: Path
-    own: str = ""
+    file: Path  # the mission file, or the campaign file if the mission stands there
+    own: str = ""  # sections of the mission as JSON, if it stands in the campaign file
 
 
 def missions_listed(path: Path, stated: Sequence[Any]) -> Iterator[ListedMission]:
@@ -247,10 +251,10 @@ def missions_listed(path: Path, stated: Sequence[Any]) -> Iterator[ListedMission
 
     * Sections are a mission that stands in the campaign file itself.
     * A path is a mission file. So is a text with ``[`` or ``*`` if a file has exactly this name.
-    * Another pattern gives the files that match it, but for those that an entry names, or that an
-      earlier pattern gave.
+    * Another pattern gives the files that match it, except those that an entry names and those of
+      an earlier pattern.
     """
-    taken: set[str] = set()  # files that no pattern gives any more
+    taken: set[str] = set()  # files that patterns leave out
     for entry in stated:
         if isinstance(entry, str):
             taken.add(os.path.realpath(path.parent / entry))
@@ -270,7 +274,7 @@ def missions_listed(path: Path, stated: Sequence[Any]) -> Iterator[ListedMission
 
 
 def _matching_files(path: Path, pattern: str) -> list[Path]:
-    """The files that a pattern of a campaign matches, without the campaign file itself."""
+    """The files that match a pattern, without the campaign file ``path``; refuses if none does."""
     files = []
     for name in sorted(glob.glob(pattern, root_dir=path.parent, recursive=True)):
         file = path.parent / name
@@ -284,9 +288,9 @@ def _matching_files(path: Path, pattern: str) -> list[Path]:
 def _seen_from(
     values: object, campaign_folder: Path, mission_folder: Path, place: Place = ()
 ) -> object:
-    """Values of a campaign with relative paths in them as seen from the folder of a mission.
+    """A copy of a campaign's values, with relative paths made relative to a mission's folder.
 
-    ``place`` : where in the mission file the values stand, which shows which texts are paths.
+    ``place`` is where the values are in the mission file: it decides which texts are paths.
     """
     if isinstance(values, dict):
         items: dict[str, object] = {}
@@ -305,9 +309,9 @@ def _seen_from(
 
 
 def _path_seen_from(path: str, campaign_folder: Path, mission_folder: Path) -> str:
-    """A path that counts from the folder of a campaign, as counted from that of a mission.
+    """A path relative to the folder of a campaign, made relative to the folder of a mission.
 
-    URLs and absolute paths stay. The path becomes absolute where a relative one leads astray: to
+    URLs and absolute paths stay. The path becomes absolute if a relative one would be wrong: to
     another drive of Windows, or from a folder that is reached by a symbolic link.
     """
     if _URL.match(path) or os.path.isabs(path):
@@ -323,7 +327,7 @@ def _path_seen_from(path: str, campaign_folder: Path, mission_folder: Path) -> s
 
 
 def _is_path_at(place: Place, value: str) -> bool:
-    """Whether a text at a place of a mission file is a path, not one of the words it takes."""
+    """Whether a text at a place of a mission file is a path, not a word that is allowed there."""
     is_path = False
     for node in nodes_at(place):
         for arm in alternatives(node):
@@ -333,22 +337,24 @@ def _is_path_at(place: Place, value: str) -> bool:
     return is_path
 
 
-def refuse_twins(campaign: Campaign, named: Iterable[tuple[MissionRef, str, object]]) -> None:
+def refuse_duplicates(
+    campaign: Campaign, missions: Iterable[tuple[MissionRef, str, object]]
+) -> None:
     """Refuse (ConfigError) a campaign with two missions of one name, or one folder of results.
 
-    ``named`` : missions with their names and folders. Folders are compared after symbolic links
-    are resolved, and on Windows without case.
+    ``missions`` are references with names and folders of results. Symbolic links are resolved; on
+    Windows case does not count.
     """
-    names: dict[str, MissionRef] = {}
-    folders: dict[str, tuple[MissionRef, str]] = {}
-    for ref, name, output in named:
-        namesake = names.setdefault(os.path.normcase(name), ref)
-        if namesake is not ref:
+    ref_of_name: dict[str, MissionRef] = {}
+    first_of_folder: dict[str, tuple[MissionRef, str]] = {}
+    for ref, name, output in missions:
+        with_same_name = ref_of_name.setdefault(os.path.normcase(name), ref)
+        if with_same_name is not ref:
             raise messages.campaign_same_name(
-                path=campaign.path, name=name, first=namesake.path, second=ref.path
+                path=campaign.path, name=name, first=with_same_name.path, second=ref.path
             )
         folder = os.path.normcase(os.path.realpath(str(output)))
-        first, name_of_first = folders.setdefault(folder, (ref, name))
+        first, name_of_first = first_of_folder.setdefault(folder, (ref, name))
         if first is not ref:
             raise messages.campaign_same_output(
                 path=campaign.path, first=name_of_first, second=name, output=str(output)

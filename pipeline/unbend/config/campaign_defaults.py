@@ -1,10 +1,10 @@
-"""What the missions of a campaign share, and what each says itself."""
+"""Merge the defaults of a campaign with the values of a mission."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
-WHOLE = (
+WHOLE_SECTIONS = (
     "atmosphere.model",
     "atmosphere.sensors.*",
     "cameras.*",
@@ -20,19 +20,19 @@ WHOLE = (
     "stations.orientation",
     "stations.trajectory",
 )
-"""Sections whose values belong together: a mission's own replaces the default as a whole."""
+"""Sections with values that belong together: that of a mission replaces the default as a whole."""
 
-LEADING = ("ground.height", "mission.geoid", "mission.undulation_m", "events.log.*.channel")
-"""A mission that states one of these keys takes nothing of its section from the defaults: the other
-keys of the section describe this one."""
+LEADING_KEYS = ("ground.height", "mission.geoid", "mission.undulation_m", "events.log.*.channel")
+"""If a mission states one of these keys, its section gets nothing from the defaults, because the
+other keys of the section describe this one."""
 
 
 def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """A mission's own values, and the defaults where it has none; null takes a default away.
+    """The values of a mission (``own``), and the defaults for keys that it does not state.
 
-    ``{mission}`` in a default path of results is replaced by the mission's name. The values of a
-    section of `WHOLE`, and those beside a key of `LEADING`, are the mission's own or the defaults',
-    never a mixture.
+    null in ``own`` removes a default. A section of `WHOLE_SECTIONS`, or with a key of
+    `LEADING_KEYS` in ``own``, is never a mixture of both. ``{mission}`` in a default path of
+    results is replaced by the name of the mission.
 
     >>> merged({"log": {"path": "a", "max_gap_s": 2.0}, "mount": {"nadir": {"roll_deg": 1.0}}},
     ...        {"log": {"path": "b"}, "mount": {"nadir": {"yaw_deg": 90.0}}})
@@ -51,14 +51,14 @@ def merged(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 def _merged_sections(
     defaults: dict[str, Any], own: dict[str, Any], above: str = ""
 ) -> dict[str, Any]:
-    """The values of two mappings, section by section; ``above`` are the keys that lead to them.
+    """Two mappings merged section by section.
 
-    For a key of both mappings:
+    ``above`` is the place of both in the mission file, as ``events.log``. For a key of both:
 
-    * null in ``own`` takes the key away;
-    * two sections are merged, but for those of `WHOLE`, and those in which ``own`` has a key of
-      `LEADING`;
-    * everything else is as in ``own``.
+    * null in ``own`` removes the key;
+    * two sections are merged, except those of `WHOLE_SECTIONS`, and those in which ``own`` has a
+      key of `LEADING_KEYS`;
+    * any other value is that of ``own``.
     """
     values = defaults | own
     for key in defaults.keys() & own.keys():
@@ -67,13 +67,13 @@ def _merged_sections(
             del values[key]
             continue
         if not isinstance(defaults[key], dict) or not isinstance(own[key], dict):
-            continue  # with the mission's own value
-        has_leading = any(_is_one_of(LEADING, f"{place}.{inner}") for inner in own[key])
-        if not has_leading and not _is_one_of(WHOLE, place):
+            continue  # the value of ``own`` stays
+        has_leading = any(_matches_any(LEADING_KEYS, f"{place}.{inner}") for inner in own[key])
+        if not has_leading and not _matches_any(WHOLE_SECTIONS, place):
             values[key] = _merged_sections(defaults[key], own[key], place)
     return values
 
 
-def _is_one_of(patterns: Sequence[str], place: str) -> bool:
-    """Whether a place, as ``cameras.nadir``, matches one of some patterns, as ``cameras.*``."""
+def _matches_any(patterns: Sequence[str], place: str) -> bool:
+    """Whether a place, as ``cameras.nadir``, matches one of the patterns, as ``cameras.*``."""
     return any(fnmatchcase(place, pattern) for pattern in patterns)

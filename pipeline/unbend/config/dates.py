@@ -13,8 +13,11 @@ EARLIEST_DATE = date(1900, 1, 1)  # an earlier one is a typing error
 
 
 def checked_date(value: str) -> str:
-    """A day, or a day and a time, as stated; raises `SectionError` for any other text."""
-    if not _is_of_a_survey(value):
+    """Check a day, perhaps with a time, and return it as it is; raises `SectionError` for others.
+
+    It is not before `EARLIEST_DATE` and not in the future.
+    """
+    if not _is_survey_date(value):
         raise SectionError("is not a date like 2026-05-14 or 2026-05-14T10:20")
     if _nanoseconds_of_text(value) > latest_ns():
         raise SectionError("is in the future")
@@ -22,14 +25,14 @@ def checked_date(value: str) -> str:
 
 
 def checked_time(value: str) -> str:
-    """A time as stated; raises `SectionError` for any other text, and for one of no survey."""
-    if not _is_of_a_survey(value) or _nanoseconds_of_text(value) > latest_ns():
+    """Check a time and return it as it is; raises `SectionError` as `checked_date`."""
+    if not _is_survey_date(value) or _nanoseconds_of_text(value) > latest_ns():
         raise SectionError("is not a time like 2026-05-14T10:20:00Z")
     return value
 
 
-def _is_of_a_survey(value: str) -> bool:
-    """Whether a text is a date, with or without a time, and not before all surveys."""
+def _is_survey_date(value: str) -> bool:
+    """Whether a text is a date, with or without a time, and not before `EARLIEST_DATE`."""
     try:
         day = datetime.fromisoformat(value).date()
     except ValueError:
@@ -66,7 +69,7 @@ def is_day_alone(value: str) -> bool:
 
 
 def nanoseconds_of_date(value: str | None) -> int | None:
-    """A stated date [Unix ns], UTC; a day without a time is its noon.
+    """A stated date [Unix ns], UTC, None without one; a day without a time counts as its noon.
 
     >>> nanoseconds_of_date("2026-05-14") == nanoseconds_of_date("2026-05-14T12:00")
     True
@@ -75,5 +78,5 @@ def nanoseconds_of_date(value: str | None) -> int | None:
 
 
 def _nanoseconds_of_text(value: str) -> int:
-    """A date, as `nanoseconds_of_date` takes it [Unix ns]."""
+    """As `nanoseconds_of_date`, for a date that is stated."""
     return nanoseconds_of_time(f"{value}T12:00" if is_day_alone(value) else value)

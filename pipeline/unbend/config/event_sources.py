@@ -14,11 +14,11 @@ from unbend.tables.imports import CAMERA_EVENTS, format_of
 _NUMBER_FORMAT = re.compile(r"^0?[0-9]{0,2}d?$")
 
 
-def image_pattern(value: str) -> str:
+def checked_image_pattern(value: str) -> str:
     """Check a pattern of the names of images, and return it as it is.
 
-    It must have a field {index} or {n}, with or without a format of whole numbers, or a ``*``;
-    other fields are refused.
+    It must have a field {index} or {n}, with or without a format of whole numbers, or a ``*``.
+    Raises SectionError for any other text, also for one with other fields.
     """
     try:
         pieces = list(string.Formatter().parse(value))
@@ -40,7 +40,7 @@ def image_pattern(value: str) -> str:
     return value
 
 
-ImagePattern = Annotated[str, AfterValidator(image_pattern)]
+ImagePattern = Annotated[str, AfterValidator(checked_image_pattern)]
 
 
 class LogEvents(Section):
@@ -179,7 +179,7 @@ class PositionEvents(Section):
 
     @property
     def states_attitude(self) -> bool:
-        """Whether the attitudes of the camera are used that an EO text may state."""
+        """Whether attitudes are taken from the file, which only an EO text can have."""
         return self.format_name == "eo" and not self.times_only
 
     @property
@@ -264,10 +264,10 @@ class EventsSection(Section):
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
-        given = [key for key in ("log", "csv", "positions") if getattr(self, key) is not None]
-        if len(given) != 1:
+        stated_keys = [key for key in ("log", "csv", "positions") if getattr(self, key) is not None]
+        if len(stated_keys) != 1:
             raise SectionError("give either log, csv or positions")
-        source = given[0]
+        source = stated_keys[0]
         if not getattr(self, source):  # a mapping without cameras
             raise SectionError(f"{source} needs at least one camera")
         if self.csv is not None and (self.images or self.first_image):
@@ -300,9 +300,9 @@ class EventsSection(Section):
 
     @property
     def patterns(self) -> dict[str, str]:
-        """The pattern of the names of images, by camera; empty for a table, which has the names.
+        """The pattern of the names of images, by camera.
 
-        Only exposures of a log, or of files with positions, are named by a pattern.
+        Empty for exposures from a table, which has the names itself.
         """
         sources = self.log or self.positions or {}
         return {camera: source.image for camera, source in sources.items()}
@@ -315,7 +315,7 @@ class EventsSection(Section):
         column = "gps_week" if self.csv.columns.time_utc is None else "time_utc"
         return f"events.csv.columns.{column}"
 
-    def anchor(self, camera: str) -> FirstImage | None:
-        """The image and event that are stated for a camera; None where none are."""
+    def stated_first_image(self, camera: str) -> FirstImage | None:
+        """The image and the event that ``first_image`` states for a camera; None without."""
         first_image = self.first_image.get(camera)
         return FirstImage(image=first_image) if isinstance(first_image, str) else first_image

@@ -146,10 +146,9 @@ class GroundModel(Section):
 
 
 def _kind_of_height(value: object) -> str:
-    """The tag of the kind of height that a value is meant as.
+    """The tag of the kind of `GroundHeight` that a value of a mission file is meant to be.
 
-    pydantic then checks the value as this kind alone. Without the tag it would report what is
-    wrong with the value as each of the kinds.
+    pydantic then checks the value as this kind alone, and reports only its errors.
     """
     match value:
         case str():
@@ -165,7 +164,7 @@ def _kind_of_height(value: object) -> str:
     return "number"
 
 
-_ABOVE_THE_SEA = ("from_distance", "intersected", "block")
+_HEIGHTS_FROM_CAMERAS = ("from_distance", "intersected", "block")
 """Words for heights that follow from those of the cameras, which are above mean sea level."""
 
 GroundHeight = Annotated[
@@ -222,37 +221,37 @@ class GroundSection(Section):
 
     @property
     def constant_m(self) -> float | None:
-        """The height of all points, where it is one [m]."""
+        """The height of all points [m], if it is a number; None for other kinds of height."""
         return self.height if isinstance(self.height, float) else None
 
     @property
     def column(self) -> str | None:
-        """The column of the observations with the height of each point."""
+        """The column of the observations with the height of each point; None for other kinds."""
         return self.height.column if isinstance(self.height, GroundColumn) else None
 
     @property
     def points(self) -> PointTable | None:
-        """The table of object points."""
+        """The table of object points; None for other kinds of height."""
         return self.height if isinstance(self.height, PointTable) else None
 
     @property
     def model(self) -> GroundModel | None:
-        """The elevation model."""
+        """The elevation model; None for other kinds of height."""
         return self.height if isinstance(self.height, GroundModel) else None
 
     @property
     def reference_of_values(self) -> Literal["msl", "ellipsoid", "relative"]:
-        """What the ground heights count from when the observations have them.
+        """The reference of the ground heights once they are in the table of observations.
 
-        Heights of a table of points and of an elevation model are reduced to mean sea level before.
+        Those of a table of points and of an elevation model are then above mean sea level.
         """
-        reduced = self.points is not None or self.model is not None
-        return "msl" if reduced else self.reference
+        is_reduced = self.points is not None or self.model is not None
+        return "msl" if is_reduced else self.reference
 
     @property
     def is_given(self) -> bool:
-        """Whether heights are given, and do not follow from those of the cameras."""
-        return self.height not in _ABOVE_THE_SEA
+        """Whether heights are given; False if they follow from those of the cameras."""
+        return self.height not in _HEIGHTS_FROM_CAMERAS
 
     @property
     def from_distance(self) -> bool:
@@ -262,10 +261,10 @@ class GroundSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _default_reference(cls, values: object) -> object:
-        """Fill in the reference of heights that follow from the cameras' own: mean sea level."""
+        """Fill in ``reference: msl`` for heights that follow from those of the cameras."""
         if not isinstance(values, dict):
             return values
-        if values.get("height") in _ABOVE_THE_SEA:
+        if values.get("height") in _HEIGHTS_FROM_CAMERAS:
             return {"reference": "msl"} | values
         return values
 
@@ -281,7 +280,7 @@ class GroundSection(Section):
         if self.sigma_m is not None and self.sigma_column is not None:
             raise SectionError("give either sigma_m or sigma_column")
         states_home = self.home_h_msl_m is not None
-        follows_from_cameras = isinstance(self.height, str)  # a word of `_ABOVE_THE_SEA`
+        follows_from_cameras = isinstance(self.height, str)  # a word of `_HEIGHTS_FROM_CAMERAS`
         if follows_from_cameras and (self.reference != "msl" or states_home):
             raise SectionError(
                 f"height: {self.height} gives heights above mean sea level; leave reference and "

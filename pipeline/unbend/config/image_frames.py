@@ -11,10 +11,10 @@ from unbend.tables.pixels import ImageFrame
 def image_frame_of(
     observations: ObservationsSection, cameras: Mapping[str, CameraSection]
 ) -> ImageFrame | None:
-    """The frame of the coordinates of all cameras; None where the table has pixels.
+    """The frame of image coordinates in mm or um, the same for all cameras; None for pixels.
 
-    Refuses (SectionError) cameras without a metric report, and cameras of different frames: the
-    table does not say which camera a row is of.
+    Refuses (SectionError) cameras without a metric report, and cameras with different frames: the
+    table does not state the camera of a row.
     """
     unit_mm = observations.unit_mm
     if unit_mm is None:

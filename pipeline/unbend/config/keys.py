@@ -1,4 +1,4 @@
-"""The keys of mission files one by one, with what they take, in words."""
+"""The keys of mission files one by one, with their allowed values in words."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,18 +8,18 @@ from unbend.config.schema import Node, alternatives, campaign_schema, mission_sc
 
 @dataclass(frozen=True)
 class MissionKey:
-    """One key of a mission file: ``cameras.*.f_px``, where ``*`` is any name or place in a list."""
+    """One key of a mission file, all in words; an empty text for what it does not have."""
 
-    path: str
-    text: str
-    allowed: str
+    path: str  # as ``cameras.*.f_px``, where ``*`` is any name or place in a list
+    text: str  # its description
+    allowed: str  # values
     unit: str
     default: str
     example: str
 
 
 def in_words(node: Node) -> str:
-    """What a node of the schema allows, for example ``a number from 10 to 1000000 [px]``."""
+    """The values that a node of the schema allows, as ``a number from 10 to 1000000 [px]``."""
     unit = node.get("unit", "1")
     shown_unit = "" if unit == "1" else f" [{unit}]"
     form = node.get("patternErrorMessage", "text")
@@ -28,9 +28,9 @@ def in_words(node: Node) -> str:
 
 
 def _arm_in_words(arm: Node, unit: str, form: str) -> str:
-    """What one alternative of a node allows, in words.
+    """The values that one alternative (arm of a union) of a node allows, in words.
 
-    ``unit`` stands behind numbers; ``form`` describes a text, for an alternative that is one.
+    ``unit`` is put behind numbers, as `` [px]``. ``form`` describes a text, if the arm is a text.
     """
     if "enum" in arm:
         return " | ".join(str(value) for value in arm["enum"])
@@ -56,7 +56,7 @@ def _arm_in_words(arm: Node, unit: str, form: str) -> str:
 
 
 def _range_in_words(arm: Node) -> str:
-    """The limits of a number, with a space before them."""
+    """The limits of a number, as `` from 0 to 1``; empty without limits."""
     words = ""
     if "exclusiveMinimum" in arm:
         words += f" above {arm['exclusiveMinimum']:.10g}"
@@ -84,16 +84,16 @@ def as_written(value: object) -> str:
 
 
 def mission_keys(node: Node | None = None, above: str = "") -> Iterator[MissionKey]:
-    """All keys of a mission file, each after the one that it stands under.
+    """All keys of a mission file, each section before its own keys.
 
-    With a ``node`` of the schema: the keys of that node, which stands under the key ``above``.
+    With a ``node`` of the schema, only the keys of that node; ``above`` is then its own key.
 
     >>> keys = {key.path: key for key in mission_keys()}
     >>> keys["cameras.*.f_px"].allowed, keys["log.max_gap_s"].default
     ('a number from 10 to 1000000 [px]', '2.0')
     """
     for arm in alternatives(mission_schema() if node is None else node):
-        value_of_any_name = arm.get("additionalProperties")  # False, or a node: any key is a name
+        value_of_any_name = arm.get("additionalProperties")  # a node if keys are names, else False
         if "items" in arm:
             yield from mission_keys(arm["items"], f"{above}.*")
         elif isinstance(value_of_any_name, dict):
@@ -113,7 +113,7 @@ def mission_keys(node: Node | None = None, above: str = "") -> Iterator[MissionK
 
 
 def _default_in_words(value: Node, *, is_required: bool) -> str:
-    """What holds where a key is not given; for a key without a default, whether it must be."""
+    """The default of a key in words; for a key without a default, whether it must be given."""
     if "default" not in value:
         return "must be given" if is_required else "must be given, unless other keys state it"
     default = value["default"]

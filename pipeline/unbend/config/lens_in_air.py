@@ -76,7 +76,10 @@ class LensSection(Section):
         return self
 
     def build(self, principal_distance_px: float) -> AnyLens:
-        """The air in a lens with this principal distance, in Pa and K."""
+        """The model of a lens with this principal distance, in Pa and K.
+
+        Without derivatives it is that of a typical lens.
+        """
         pressure_pa = self.reference.pressure_hpa * HECTOPASCAL
         temperature_k = self.reference.temperature_c + ZERO_CELSIUS_K
         if self.dc_dp_px_per_hpa is None or self.dc_dt_px_per_k is None:

@@ -1,4 +1,4 @@
-"""What a key or a value that is not taken was probably meant to be."""
+"""What a refused key or value of a mission file was probably meant to be."""
 
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -33,7 +33,7 @@ UNITS = {
     "us": "microseconds",
     "h": "hours",
 }
-"""Units that keys end in, in small letters."""
+"""Units at the end of keys, in small letters, and their names."""
 
 METRIC_KEYS: Mapping[str, Sequence[str]] = {
     "focal_mm": ("f", "fx", "fy", "focal", "focal_length", "principal_distance", "camera_constant"),
@@ -41,7 +41,7 @@ METRIC_KEYS: Mapping[str, Sequence[str]] = {
     "format_mm": ("sensor", "sensor_width", "sensor_height", "sensor_size", "width", "height"),
     "ppa_mm": ("cx", "cy", "x0", "y0", "xp", "yp", "ppx", "ppy", "principal_point", "ppa"),
 }
-"""Keys of the section ``metric`` of a camera, each by names that a length in mm or um may have."""
+"""Keys of the section ``metric`` of a camera, each with wrong names that users give it."""
 
 
 def comma_in_words(text: str) -> str:
@@ -52,7 +52,7 @@ def comma_in_words(text: str) -> str:
     >>> comma_in_words("20,000")
     "'20,000' has a comma: write 20.000 or 20000"
     """
-    number = with_point(text)
+    number = number_with_point(text)
     if number is None:
         return ""
     if _MAY_BE_GROUPS.fullmatch(text.strip()):
@@ -61,11 +61,11 @@ def comma_in_words(text: str) -> str:
     return f"{text!r} has {mark}: write {number}"
 
 
-def with_point(text: str) -> str | None:
-    """A number with a point that was written with a comma; None for any other text.
+def number_with_point(text: str) -> str | None:
+    """A number with a comma, rewritten with a point; None for any other text.
 
-    >>> with_point("-0,018"), with_point("20.000,5"), with_point("20,000.5"), with_point("a,b")
-    ('-0.018', '20000.5', '20000.5', None)
+    >>> [number_with_point(text) for text in ("-0,018", "20.000,5", "20,000.5", "a,b")]
+    ['-0.018', '20000.5', '20000.5', None]
     """
     text = text.strip()
     if _GROUPS_BY_COMMAS.fullmatch(text):
@@ -76,20 +76,20 @@ def with_point(text: str) -> str | None:
     return f"{re.sub(r'[^0-9+-]', '', whole)}.{decimals}"
 
 
-def camera_in_millimetres(key: str) -> str:
-    """The key of ``metric`` for a key of a camera in millimetres or micrometres; "" for no such.
+def metric_key_of(key: str) -> str:
+    """The key under ``metric`` that a wrong key of a camera, in mm or um, means; else empty.
 
-    >>> camera_in_millimetres("f_mm"), camera_in_millimetres("pixel_size_um")
+    >>> metric_key_of("f_mm"), metric_key_of("pixel_size_um")
     ('metric.focal_mm', 'metric.pixel_um')
-    >>> camera_in_millimetres("focal_length"), camera_in_millimetres("f_px")
+    >>> metric_key_of("focal_length"), metric_key_of("f_px")
     ('metric.focal_mm', '')
     """
     stem = key.lower()
-    unit = _UNIT_AT_END.fullmatch(stem)
-    if unit is not None and unit["unit"] in UNITS:
-        if unit["unit"] not in ("mm", "um", "cm"):
+    parts = _UNIT_AT_END.fullmatch(stem)
+    if parts is not None and parts["unit"] in UNITS:
+        if parts["unit"] not in ("mm", "um", "cm"):
             return ""
-        stem = unit["stem"]
+        stem = parts["stem"]
     elif stem not in ("focal_length", "pixel_size", "pixel_pitch", "sensor_width", "sensor_size"):
         return ""
     for metric, names in METRIC_KEYS.items():
@@ -98,20 +98,20 @@ def camera_in_millimetres(key: str) -> str:
     return ""
 
 
-def same_in_other_unit(key: str, known: Collection[str]) -> str:
-    """The known key of the same quantity in another unit; "" without one.
+def key_in_other_unit(key: str, allowed_keys: Collection[str]) -> str:
+    """The allowed key for the same quantity in another unit; "" without one.
 
-    >>> same_in_other_unit("roll_rad", {"roll_deg", "yaw_deg"}), same_in_other_unit("pitch", {"a"})
+    >>> key_in_other_unit("roll_rad", {"roll_deg", "yaw_deg"}), key_in_other_unit("pitch", {"a"})
     ('roll_deg', '')
     """
-    wanted = _UNIT_AT_END.fullmatch(key.lower())
+    parts = _UNIT_AT_END.fullmatch(key.lower())
     stem = key.lower()
-    if wanted is not None and wanted["unit"] in UNITS:
-        stem = wanted["stem"]
-    for name in sorted(known):
-        other = _UNIT_AT_END.fullmatch(name)
+    if parts is not None and parts["unit"] in UNITS:
+        stem = parts["stem"]
+    for allowed_key in sorted(allowed_keys):
+        other = _UNIT_AT_END.fullmatch(allowed_key)
         if other is not None and other["unit"] in UNITS and other["stem"] == stem:
-            return name
+            return allowed_key
     return ""
 
 
@@ -121,5 +121,5 @@ def unit_of(key: str) -> str:
     >>> unit_of("lever_arm_m"), unit_of("name")
     ('metres', '')
     """
-    unit = _UNIT_AT_END.fullmatch(key.lower())
-    return "" if unit is None else UNITS.get(unit["unit"], "")
+    parts = _UNIT_AT_END.fullmatch(key.lower())
+    return "" if parts is None else UNITS.get(parts["unit"], "")

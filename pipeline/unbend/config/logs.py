@@ -128,7 +128,7 @@ class ChannelsSection(Section):
     )
 
     def named(self) -> dict[str, NamedChannel]:
-        """The channels that are named, by their roles."""
+        """The named channels by role, without roles that are absent or null."""
         channels = {}
         for role in type(self).model_fields:
             value = getattr(self, role)
@@ -139,8 +139,8 @@ class ChannelsSection(Section):
         return channels
 
     @property
-    def empty(self) -> tuple[str, ...]:
-        """The roles that no channel may play: their keys are there, with null."""
+    def unused_roles(self) -> tuple[str, ...]:
+        """The roles that no channel may have: those that are stated as null."""
         return tuple(role for role in self.model_fields_set if getattr(self, role) is None)
 
 

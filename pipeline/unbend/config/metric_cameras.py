@@ -148,7 +148,7 @@ class MetricTable(Section):
         return rows
 
     def in_mm(self, focal_mm: float) -> tuple[Array, Sense]:
-        """The rows as radius and distortion [mm], and what the distortion is."""
+        """The rows as radius and distortion, (n, 2) [mm], and the sense of the distortion."""
         rows = np.array(self.rows)
         rows[:, 1] *= MILLIMETRES_PER_MICROMETRE
         if self.by == "field_angle_deg":
@@ -227,7 +227,10 @@ class MetricSection(Section):
     def image_frame(
         self, size_px: tuple[int, int], pixels: PixelSystem, unit_mm: float
     ) -> ImageFrame:
-        """The frame of image coordinates in a unit [mm], from this origin along these axes."""
+        """The frame of image coordinates in a unit of ``unit_mm`` millimetres.
+
+        It has the origin and the axes of the report.
+        """
         pixel_mm = np.array(self.pixel_um) * MILLIMETRES_PER_MICROMETRE
         x_axis, y_axis = (
             np.array(DIRECTIONS[direction]) * unit_mm / pixel_mm for direction in self.axes.split()
@@ -239,7 +242,7 @@ class MetricSection(Section):
         )
 
     def build(self, size_px: tuple[int, int], pixels: PixelSystem) -> Camera:
-        """The camera; refuses as `camera_of_report`."""
+        """The camera of the report, for an image size in pixels; refuses as `camera_of_report`."""
         coefficients: dict[str, float] = {}
         sense: Sense = "distortion"  # of coefficients, if there are none
         if self.distortion is not None:

@@ -180,7 +180,7 @@ class Mission(Section):
     @model_validator(mode="before")
     @classmethod
     def _mounts_at_rest(cls, values: object) -> object:
-        """With ``stations.orientation``, a camera without a mount is at rest in the aircraft."""
+        """With ``stations.orientation``, a camera without a mount gets the default mount."""
         if not isinstance(values, dict):
             return values
         cameras = values.get("cameras", {})
@@ -209,11 +209,11 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_sources_of_stations(self) -> Self:
-        """Some key gives the position and the attitude of each image.
+        """The position and the attitude of each image are given.
 
-        * Without a log: an orientation, a trajectory, or exposures with their positions. Such a
-          trajectory gives all that these exposures do not; ``replaces`` may not leave that out.
-        * Without an orientation: events have the times, and a mount turns the attitude of the
+        * Without a log, they come from an orientation, a trajectory, or exposures with positions. A
+          trajectory then gives all that the exposures lack; ``replaces`` may not leave that out.
+        * Without an orientation, events have the times, and a mount turns the attitude of the
           aircraft into that of the camera.
         """
         orientation = self.stations.orientation
@@ -226,7 +226,7 @@ class Mission(Section):
         if self.log is None and trajectory is not None and trajectory.replaces is not None:
             needed = {"position", "height", "attitude"}
             if self._has_placed_events:
-                needed = {"attitude"}  # the exposures have position and height
+                needed = {"attitude"}  # position and height are those of the exposures
             if not needed <= set(trajectory.replaces):
                 raise SectionError(
                     "there is no log, so all values of the trajectory are used: remove the key "
@@ -278,7 +278,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_orientation(self) -> Self:
-        """``stations.orientation`` names a camera and a log that are there, if it names them."""
+        """A camera or a log that ``stations.orientation`` names is in the mission file."""
         orientation = self.stations.orientation
         if orientation is None:
             return self
@@ -308,7 +308,7 @@ class Mission(Section):
 
     @cached_property
     def windows(self) -> dict[str, Window]:
-        """The window of each camera that has one, or the opening, which is one without glass."""
+        """The window, or the opening (a window without glass), of each camera that has one."""
         windows = {}
         for name, camera in self.cameras.items():
             pane = camera.pane
@@ -318,7 +318,7 @@ class Mission(Section):
 
     @cached_property
     def lenses(self) -> dict[str, AnyLens]:
-        """How the lens of each camera follows the air, where the mission file states it."""
+        """How the principal distance changes with the air, for cameras that state it."""
         lenses = {}
         for name, camera in self.cameras.items():
             if camera.lens is not None:
@@ -336,7 +336,7 @@ class Mission(Section):
 
     @cached_property
     def mounts(self) -> dict[str, Mount]:
-        """How each camera sits in the aircraft."""
+        """How each camera is mounted in the aircraft."""
         return {name: section.mount for name, section in self.mount.items()}
 
     @property
@@ -348,13 +348,13 @@ class Mission(Section):
 
     @property
     def _has_placed_events(self) -> bool:
-        """Whether positions come from the files of exposures."""
+        """Whether a file of exposures gives positions, and not only times."""
         return any(not source.times_only for source in self.position_events.values())
 
     def attitude_key(self, camera: str) -> str:
-        """The key under which the angles of a camera are stated, for messages.
+        """The key that states the angles of a camera, for messages.
 
-        With ``stations.orientation`` in angles of the camera itself the mount has no effect.
+        It is not the mount if ``stations.orientation`` has the angles of the camera itself.
         """
         orientation = self.stations.orientation
         if orientation is not None and orientation.angles != "roll_pitch_yaw":
@@ -363,14 +363,14 @@ class Mission(Section):
 
     @property
     def max_gap_s(self) -> float:
-        """The longest interval between samples of the log that is no gap [s]."""
+        """The longest interval [s] between samples of the log that does not count as a gap."""
         return USUAL_MAX_GAP_S if self.log is None else self.log.max_gap_s
 
     @model_validator(mode="after")
     def _check_window_directions(self) -> Self:
-        """A camera looks out of its window: the normal of the window points forward.
+        """The normal of a window points forward in the camera that looks through it.
 
-        Checked are cameras that are fixed in the aircraft, with a window in the aircraft's frame.
+        Checked for cameras that are fixed in the aircraft, with a window in the aircraft's frame.
         """
         if self.log is not None and self.log.channels.aircraft_attitude is not None:
             return self  # a stabilised camera turns behind the window: only the log knows how
@@ -378,7 +378,7 @@ class Mission(Section):
             if window.frame == "camera" or name not in self.mount:
                 continue
             has_gimbal = self.mount[name].attitude is not None
-            if has_gimbal:  # it turns behind the window too
+            if has_gimbal:  # the camera turns behind the window
                 continue
             x, y, z = self.mounts[name].camera_from_body @ np.array(window.normal)
             if z <= 0.0:
@@ -392,7 +392,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_board_temperature(self) -> Self:
-        """``atmosphere.board_temperature`` needs the name of a channel, whose board is meant."""
+        """``atmosphere.board_temperature`` needs the channel of the board in ``log.channels``."""
         names_channel = self.log is not None and self.log.channels.temperature is not None
         if self.atmosphere.board_temperature and not names_channel:
             raise SectionError(
@@ -437,7 +437,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_control(self) -> Self:
-        """Control points are compared with what removes refraction, not with what applies it."""
+        """Control points need ``refraction.direction: remove``."""
         if self.control is not None and self.refraction.direction == "apply":
             raise SectionError(
                 "control compares before and after the removal of refraction: leave it out with "
@@ -459,7 +459,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_positions_once(self) -> Self:
-        """Positions come from one source, and it is known where the cameras are from there."""
+        """Positions come from one source, and this source fits the cameras and events."""
         trajectory = self.stations.trajectory
         position_events = self.position_events
         if self.stations.orientation is not None and (trajectory is not None or position_events):
@@ -491,7 +491,7 @@ class Mission(Section):
 
     @model_validator(mode="after")
     def _check_camera_names(self) -> Self:
-        """All sections name the same cameras, of one frame where observations are in mm."""
+        """All sections name the same cameras; these have one frame if observations are in mm."""
         image_frame_of(self.observations, self.cameras)  # refuses cameras of several frames
         check_table_of_exposures(self.cameras, self.events)
         check_camera_names(self.cameras, cameras_by_section(self.mount, self.events))

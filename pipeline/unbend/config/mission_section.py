@@ -10,7 +10,7 @@ from unbend.config.section import PathText, Section, SectionError
 
 
 def known_time_zone(name: str) -> str:
-    """A time zone that the system knows; refuses another."""
+    """Check that the system knows a time zone, and return its name; raises SectionError if not."""
     try:
         ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError):

@@ -1,4 +1,4 @@
-"""What is wrong with the values of a mission file, in a sentence for each mistake."""
+"""Describe each mistake in the values of a mission file in a sentence."""
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,20 +9,20 @@ import yaml
 
 from unbend.config.keys import as_written, in_words
 from unbend.config.likely_meant import (
-    camera_in_millimetres,
     comma_in_words,
-    same_in_other_unit,
+    key_in_other_unit,
+    metric_key_of,
     unit_of,
 )
 from unbend.config.schema import Node, alternatives, campaign_schema, nodes_at
 from unbend.config.section import SectionError
 from unbend.config.yaml_text import Place, has_place, line_of, open_questions
 
-LEAST_SIMILARITY = 0.5  # of the similarity of difflib: a letter wrong, or a word of several
+LEAST_SIMILARITY = 0.5  # by difflib, of a key to suggest: a wrong letter, or one word of several
 MOST_SENTENCES = 100
-"""Of one refusal: who has more mistakes does not read them all."""
-MOST_REFUSED = 1000  # things that the models refuse, of which the first mistakes are told
-LONGEST_ALLOWED = 150  # characters of what a key takes, beside its text
+"""Of one refusal: nobody reads more."""
+MOST_REFUSED = 1000  # errors of pydantic that are looked at
+LONGEST_ALLOWED = 150  # characters: longer lists of allowed values are left out behind a text
 LONGEST_VALUE = 40  # characters of a value that is shown whole
 OF_LIMITS = ("less_than_equal", "greater_than_equal")
 """Pydantic's types of the error that a number is beyond its limits."""
@@ -32,25 +32,21 @@ _SHOWN_OF_END = 16  # the same of its end
 
 @dataclass(frozen=True)
 class Mistake:
-    """A value that is not allowed: where it stands, and what is wrong.
+    """A mistake in the values of a file."""
 
-    The line of the mistake is that of ``line_place``, which the text names.
-    """
-
-    place: Place
-    what: str
-    line_place: Place
+    place: Place  # of the refused value
+    what: str  # is wrong, in words
+    line_place: Place  # whose line is shown: the place, or one that ``what`` names
 
 
 @dataclass(frozen=True)
 class Refused:
-    """One thing that the models refuse.
+    """An error of pydantic.
 
-    kind : pydantic's type of the error.
-    place, value : where in the file it is, and what stands there; None for a missing key.
-    line_place : whose line is named; inside the place, where the text names keys of several
-        sections.
-    text : that of the validator that refuses it, empty if pydantic itself does.
+    kind : its type.
+    place, value : the refused value and its place in the file; None for a missing key.
+    line_place : whose line is shown: the place, or one inside that the text names.
+    text : of the validator that refuses the value; empty if pydantic itself does.
     """
 
     kind: str
@@ -68,13 +64,16 @@ def sentences_of(
 ) -> list[str]:
     """One sentence for each mistake, in the order of the file, with the line of the mistake.
 
-    Of more than `MOST_SENTENCES` mistakes some are left out, and one more than that many are
-    returned. Only the first `MOST_REFUSED` items are looked at.
+    Of more than `MOST_SENTENCES` mistakes, `MOST_SENTENCES` + 1 are returned. Only the first
+    `MOST_REFUSED` items are looked at.
 
-    ``items`` is what the models refuse of the ``values``; open questions are mistakes too. ``node``
-    knows the lines of the values; values that stand in no file have none. ``own`` are the values
-    that stand in the mission file itself; a mistake in another value is in the defaults of the
-    campaign, and its sentence says so instead of a line.
+    Parameters
+    ----------
+    items : errors of pydantic about the values; open questions are mistakes too.
+    values : of the mission, or of a campaign file.
+    node : with the lines of the values; None for values that are not from a file.
+    own : the values of the mission file itself, None if these are all. A mistake in another value
+        is in the defaults of the campaign; its sentence names these instead of a line.
     """
     sentences: set[tuple[int, str]] = set()
     for mistake in mistakes_of(items[:MOST_REFUSED], values):
@@ -84,14 +83,17 @@ def sentences_of(
         origin = "" if node is None else f"line {line}"
         if own is not None and not has_place(own, _nearest_place(values, mistake.line_place)):
             origin = "defaults of the campaign"
-        key = _written(mistake.place)
+        key = _place_in_words(mistake.place)
         parts = [part for part in (origin, key, mistake.what) if part]
         sentences.add((line, ": ".join(parts)))
     return [sentence for _, sentence in sorted(sentences)]
 
 
 def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> Iterator[Mistake]:
-    """The open questions of a file, and what the models refuse of it for other reasons."""
+    """The mistakes in the values of a file: open questions, then errors with other causes.
+
+    ``items`` are errors of pydantic. Left out are those that only follow from another mistake.
+    """
     is_campaign = "campaign" in values
     questions = open_questions(values)
     for place in questions:
@@ -99,7 +101,7 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
         if not nodes_at(place):
             sentence = _unknown_key(place, is_campaign=is_campaign)
         yield Mistake(place, sentence, place)
-    all_refused = [_refused(values, item) for item in items]
+    all_refused = [_as_refused(values, item) for item in items]
     misspelt = _misspelt_keys(all_refused, is_campaign=is_campaign)
     for refused in all_refused:
         # TODO is refused as a value too, and so may be the section around it.
@@ -107,23 +109,26 @@ def mistakes_of(items: Iterable[Mapping[str, Any]], values: dict[str, Any]) -> I
         is_misspelt = refused.kind == "missing" and refused.place in misspelt
         if follows or is_misspelt or _is_arm(refused, all_refused):
             continue
-        yield Mistake(refused.place, _what(refused, values), refused.line_place)
+        yield Mistake(refused.place, _problem(refused, values), refused.line_place)
 
 
 def _misspelt_keys(all_refused: Iterable[Refused], *, is_campaign: bool) -> set[Place]:
-    """The places that unknown keys seem to mean: what is missing there is not missing."""
-    meant = set()
+    """The places of the keys that unknown keys seem to mean.
+
+    A key that is missing at such a place is misspelt: it is no mistake of its own.
+    """
+    meant_places = set()
     for refused in all_refused:
         if refused.kind == "extra_forbidden":
             key = _suggested_key(refused.place, is_campaign=is_campaign)
-            meant.add((*refused.place[:-1], key))
-    return meant
+            meant_places.add((*refused.place[:-1], key))
+    return meant_places
 
 
-def _refused(values: object, item: Mapping[str, Any]) -> Refused:
-    """An error of pydantic, at its place in the file, which may be the key that it names."""
+def _as_refused(values: object, item: Mapping[str, Any]) -> Refused:
+    """An error of pydantic with its place in the file; that is the key, if the error names one."""
     error = item.get("ctx", {}).get("error")
-    place, value = _found_at(values, item["loc"])
+    place, value = _located(values, item["loc"])
     line_place = place
     if isinstance(error, SectionError):
         if error.key:
@@ -134,12 +139,12 @@ def _refused(values: object, item: Mapping[str, Any]) -> Refused:
 
 
 def _is_within(place: Place, outer: Place) -> bool:
-    """Whether a place is another one, or inside it."""
+    """Whether a place is ``outer`` itself, or inside it."""
     return place[: len(outer)] == outer
 
 
 def _overlap(place: Place, other: Place) -> bool:
-    """Whether one of two places is the other, or inside it."""
+    """Whether two places are equal, or one is inside the other."""
     return _is_within(place, other) or _is_within(other, place)
 
 
@@ -147,9 +152,9 @@ def _is_arm(refused: Refused, others: Iterable[Refused]) -> bool:
     """Whether a section is refused as a whole only because of a mistake inside it.
 
     pydantic refuses such a section once for each kind of value (arm of a union) that it could be,
-    and the key inside it. The mistake of the key says more.
+    and the key inside it as well. Only the mistake of the key is useful.
     """
-    # These kinds are mistakes of their own, whatever is refused inside.
+    # These kinds are mistakes of the section itself.
     if refused.kind in ("value_error", "extra_forbidden", "missing"):
         return False
     if not isinstance(refused.value, dict | list):
@@ -159,8 +164,11 @@ def _is_arm(refused: Refused, others: Iterable[Refused]) -> bool:
     )
 
 
-def _what(refused: Refused, values: dict[str, Any]) -> str:
-    """What is wrong with a value, and what the key takes instead."""
+def _problem(refused: Refused, values: dict[str, Any]) -> str:
+    """What is wrong with a value in words, and the allowed values.
+
+    ``values`` are those of the whole file.
+    """
     match refused.kind:
         case "value_error":
             return refused.text
@@ -171,17 +179,17 @@ def _what(refused: Refused, values: dict[str, Any]) -> str:
     allowed = allowed_at(refused.place)
     if refused.value is None:
         return f"is empty; use {allowed}"
-    meant = _likely_meant(refused)
-    if meant:
-        return meant
-    return f"{_shown(refused.value)} is not allowed; use {allowed}"
+    advice = _advice_on_type(refused)
+    if advice:
+        return advice
+    return f"{_value_in_words(refused.value)} is not allowed; use {allowed}"
 
 
-def _likely_meant(refused: Refused) -> str:
-    """What to write in the place of a value that YAML read as another type; "" if unknown.
+def _advice_on_type(refused: Refused) -> str:
+    """What to write instead of a value that YAML read as another type; "" if that is unknown.
 
     YAML reads [0,5, 1,2] as four numbers, and {camera} without quotes as a section of empty keys.
-    A lever arm that is longer than an aircraft is in another unit.
+    Also for a lever arm that is longer than an aircraft, and so in another unit.
     """
     arms = [arm for node in nodes_at(refused.place) for arm in alternatives(node)]
     types = {arm.get("type") for arm in arms}
@@ -194,8 +202,9 @@ def _likely_meant(refused: Refused) -> str:
             return f"a list of {number}: numbers have a decimal point, not a comma; use {allowed}"
         case int() | float() if refused.kind in OF_LIMITS and "lever_arm_m" in refused.place:
             return (
-                f"{_shown(refused.value)} is not allowed; use {allowed_at(refused.place)}: lever "
-                "arms are in metres, and this looks like millimetres or centimetres"
+                f"{_value_in_words(refused.value)} is not allowed; use "
+                f"{allowed_at(refused.place)}: lever arms are in metres, and this looks like "
+                "millimetres or centimetres"
             )
         case dict() if "string" in types and _has_only_keys(refused.value):
             keys = ", ".join(map(str, refused.value))
@@ -204,13 +213,13 @@ def _likely_meant(refused: Refused) -> str:
 
 
 def _has_only_keys(section: Mapping[str, object]) -> bool:
-    """Whether a section has keys, and none of them a value."""
+    """Whether a section has keys, all without a value."""
     values = section.values()
     return bool(values) and all(value is None for value in values)
 
 
 def _keys_at(section: Place, *, is_campaign: bool) -> set[str]:
-    """The keys that a section takes."""
+    """The allowed keys of the section at a place; ``is_campaign`` : in a campaign file."""
     nodes = nodes_at(section)
     if is_campaign and not section:  # the file itself, which `nodes_at` takes for a mission's
         nodes = [campaign_schema()]
@@ -222,10 +231,13 @@ def _keys_at(section: Place, *, is_campaign: bool) -> set[str]:
 
 
 def _suggested_key(place: Place, *, is_campaign: bool) -> str:
-    """The key of the same section that an unknown key seems to mean; "" if there is none."""
+    """The allowed key of the same section that an unknown key seems to mean.
+
+    "" if none is similar, or if the unknown key belongs to another section.
+    """
     key = str(place[-1])
     allowed_keys = _keys_at(place[:-1], is_campaign=is_campaign)
-    other_unit = same_in_other_unit(key, allowed_keys)
+    other_unit = key_in_other_unit(key, allowed_keys)
     if other_unit:
         return other_unit
     if len(sections_with_key(key)) == 1:
@@ -235,18 +247,18 @@ def _suggested_key(place: Place, *, is_campaign: bool) -> str:
 
 
 def _unknown_key(place: Place, *, is_campaign: bool) -> str:
-    """What to write instead of a key that there is not."""
+    """The sentence on an unknown key, with what to write instead."""
     section = place[:-1]
     allowed_keys = _keys_at(section, is_campaign=is_campaign)
     key = str(place[-1])
-    metric = camera_in_millimetres(key)
+    metric = metric_key_of(key)
     if len(section) == 2 and section[0] == "cameras" and metric:
         in_pixels = "the principal distance in pixels is f_px; " if "focal" in metric else ""
         return (
             f"unknown key; {in_pixels}lengths of a camera in millimetres are in its section "
             f"metric: {metric}"
         )
-    other_unit = same_in_other_unit(key, allowed_keys)
+    other_unit = key_in_other_unit(key, allowed_keys)
     if other_unit:
         return f"unknown key; perhaps {other_unit!r}, in {unit_of(other_unit)}?"
     elsewhere = sections_with_key(key)
@@ -274,7 +286,10 @@ def sections_with_key(key: str) -> list[str]:
 
 
 def _missing_key(place: Place) -> str:
-    """What a key that is missing means; and what it takes, if that is short or all there is."""
+    """The sentence on a missing key: its description, and its allowed values if these are short.
+
+    Without a description the allowed values are given at any length.
+    """
     texts = [node["description"] for node in nodes_at(place) if "description" in node][:1]
     allowed = allowed_at(place)
     if not texts or len(allowed) < LONGEST_ALLOWED:
@@ -282,10 +297,10 @@ def _missing_key(place: Place) -> str:
     return f"is missing: {'; '.join(texts)}"
 
 
-def _found_at(values: object, loc: Sequence[int | str]) -> tuple[Place, object]:
-    """Place and value of an error of the models; the value of a missing key is None.
+def _located(values: object, loc: Sequence[int | str]) -> tuple[Place, object]:
+    """The place in the file of an error, and the value there; None for a missing key.
 
-    ``loc`` is pydantic's place of the error. It has besides the keys the names of the arms of
+    ``loc`` is pydantic's place of the error. Between the keys it also has the names of the arms of
     unions, which are left out.
     """
     place: list[str | int] = []
@@ -298,27 +313,27 @@ def _found_at(values: object, loc: Sequence[int | str]) -> tuple[Place, object]:
         is_last = i == len(loc) - 1
         if is_last and isinstance(value, dict) and nodes_at((*place, part)):
             value = None
-            place.append(part)  # a key that is missing, and no arm
+            place.append(part)  # a missing key, not an arm
     return tuple(place), value
 
 
 def _nearest_place(values: object, place: Place) -> Place:
-    """The place itself, or the section around it that is in the file."""
+    """The place itself, or if it is not in the file, the innermost section around it that is."""
     while not has_place(values, place):
         place = place[:-1]
     return place
 
 
-def _written(place: Place) -> str:
-    """A place as people write it: ``events.csv``, ``soundings[0].path``."""
+def _place_in_words(place: Place) -> str:
+    """A place as one text: ``events.csv``, ``soundings[0].path``."""
     text = ""
     for part in place:
         text += f"[{part}]" if isinstance(part, int) else f".{part}"
     return text.removeprefix(".")
 
 
-def _shown(value: object) -> str:
-    """A value in a message: short, and on one line."""
+def _value_in_words(value: object) -> str:
+    """A value for a message, short and on one line."""
     match value:
         case dict():
             return "a section"
@@ -332,7 +347,7 @@ def _shown(value: object) -> str:
 
 
 def allowed_at(place: Place) -> str:
-    """What a place takes, with an example."""
+    """The allowed values at a place in words, with an example."""
     nodes: list[Node] = nodes_at(place)
     words = " or ".join(dict.fromkeys(in_words(node) for node in nodes))
     examples = [as_written(node["examples"][0]) for node in nodes if "examples" in node]

@@ -23,14 +23,14 @@ from unbend.tables.imports import ORIENTATIONS
 from unbend.tables.imports.blocks import BLOCKS
 from unbend.units import AngleUnit
 
-_OF_ANGLES = {
+_QUANTITIES_OF_ANGLES = {
     "omega_phi_kappa": ("omega", "phi", "kappa"),
     "phi_omega_kappa": ("phi", "omega", "kappa"),
     "roll_pitch_yaw": ("roll", "pitch", "yaw"),
     "quaternion": ("q_w", "q_x", "q_y", "q_z"),
     "quaternion_to_frame": ("q_w", "q_x", "q_y", "q_z"),
 }
-_SAY_FRAME = ("opensfm", "metashape", "pix4d", "blocksexchange")
+_FORMATS_WITH_FRAME = ("opensfm", "metashape", "pix4d", "blocksexchange")
 _GEODETIC = ("latitude", "longitude", "height")
 _CARTESIAN = ("x", "y", "z")
 _SIGMAS = ("sigma_horizontal_m", "sigma_height_m", "sigma_tilt", "sigma_yaw")
@@ -262,7 +262,7 @@ class OrientationSection(Section):
     @field_validator("frame")
     @classmethod
     def _require_frame(cls, value: object, info: ValidationInfo) -> object:
-        if value is None and info.data.get("format") not in _SAY_FRAME:
+        if value is None and info.data.get("format") not in _FORMATS_WITH_FRAME:
             raise SectionError("is missing (geographic | projected | ecef | {enu: ...} | unknown)")
         return value
 
@@ -273,23 +273,30 @@ class OrientationSection(Section):
 
     @property
     def is_geodetic(self) -> bool:
-        """Whether the positions are latitude, longitude and height, or become them by the crs."""
+        """Whether positions are latitude, longitude and height, or x, y of a projection."""
         return self.is_level or self.columns.latitude is not None
 
     def in_system_of(self, crs: str | None, kind: str | None) -> Self:
-        """The section with the coordinate system that a block names, where no frame is stated."""
+        """The section with the coordinate system of its block as frame, if no frame is stated.
+
+        ``crs`` and ``kind`` (a word of ``frame``) are None if the block names no system.
+        """
         if self.frame is not None or crs is None or kind is None:
             return self
         return self.model_copy(update={"frame": kind, "crs": crs})
 
-    def is_msl(self, found: str | None) -> bool:
-        """Whether heights are above the sea; ``found`` is what a coordinate system says of them."""
+    def is_msl(self, reference_of_crs: str | None) -> bool:
+        """Whether the heights are above mean sea level.
+
+        ``reference_of_crs`` is the reference that the vertical part of a coordinate system gives,
+        which counts before the stated one; None without such a part.
+        """
         has_heights = self.is_geodetic or self.frame is None
-        return has_heights and (found or self.heights) == "msl"
+        return has_heights and (reference_of_crs or self.heights) == "msl"
 
     @property
     def column_names(self) -> dict[str, str]:
-        """Quantity -> name of its column, for all that are to be read."""
+        """The name of the column of each quantity that is read, by quantity."""
         has_latitudes = self.is_geodetic and self.frame != "projected"
         position = _GEODETIC if has_latitudes else _CARTESIAN
         named = self.columns.named
@@ -304,7 +311,7 @@ class OrientationSection(Section):
 
     @property
     def unstated(self) -> tuple[str, ...]:
-        """Camera, time and sigmas, as far as neither a column nor a constant gives them."""
+        """Which of camera, time and sigmas neither a column nor a constant of the section gives."""
         constants = {
             "camera": self.camera,
             "time_utc": self.date,
@@ -321,8 +328,8 @@ class OrientationSection(Section):
 
     @property
     def angle_names(self) -> tuple[str, ...]:
-        """The quantities of the attitude, in the order of their names."""
-        return _OF_ANGLES[self.angles]
+        """The quantities of the attitude, in the order that the key ``angles`` names."""
+        return _QUANTITIES_OF_ANGLES[self.angles]
 
     @property
     def has_clock(self) -> bool:
@@ -331,20 +338,20 @@ class OrientationSection(Section):
 
     @property
     def date_ns(self) -> int | None:
-        """The stated date [Unix ns]; a day without a time is its noon in UTC."""
+        """The stated date [Unix ns], None without; a day without a time is its noon in UTC."""
         return nanoseconds_of_date(self.date)
 
     @property
     def is_level(self) -> bool:
-        """Whether the angles count from the horizon of each station."""
+        """Whether the angles are relative to the horizontal plane at each station."""
         return self.frame in ("geographic", "projected")
 
     @model_validator(mode="after")
     def _check_angles(self) -> Self:
-        of_body = self.angles == "roll_pitch_yaw"
-        if self.format == "dji" and not of_body:
+        are_of_body = self.angles == "roll_pitch_yaw"
+        if self.format == "dji" and not are_of_body:
             raise SectionError("format: dji has angles: roll_pitch_yaw, of the gimbal")
-        if of_body and not self.is_level:
+        if are_of_body and not self.is_level:
             raise SectionError(
                 "roll, pitch and yaw are relative to north, east and down at the station: frame "
                 "must be geographic or projected"
@@ -362,7 +369,7 @@ class OrientationSection(Section):
         return self
 
     def _check_unknown_frame(self) -> None:
-        """Refuse a frame without a vertical that nothing places on the earth."""
+        """Refuse an unknown frame without known positions, or with latitudes."""
         if self.is_geodetic:
             raise SectionError("an unknown frame has x, y and z, not columns.latitude")
         if self.known_positions is None:
@@ -373,7 +380,7 @@ class OrientationSection(Section):
 
     @model_validator(mode="after")
     def _check_heights(self) -> Self:
-        """``heights`` is stated exactly where the file, or that of known positions, has heights."""
+        """``heights`` is stated if the file or known_positions has heights, and only then."""
         is_fitted = self.frame == "unknown" and isinstance(self.known_positions, KnownPositions)
         has_heights = self.is_geodetic or self.frame is None or is_fitted
         states_heights = self.heights is not None
@@ -396,8 +403,8 @@ class OrientationSection(Section):
     def _check_block(self) -> Self:
         if not self.of_block:
             return self
-        says_columns = self.camera is not None or self.columns != OrientationColumns()
-        if says_columns or self.frame == "geographic" or self.angles != "quaternion":
+        states_columns = self.camera is not None or self.columns != OrientationColumns()
+        if states_columns or self.frame == "geographic" or self.angles != "quaternion":
             raise SectionError(
                 f"format: {self.format} has its own angles, columns and cameras, and a frame of x, "
                 "y, z: projected, ecef, enu or unknown"

@@ -1,4 +1,4 @@
-"""What a file is that was given in the place of a mission file, and what to do with it."""
+"""Recognise a file or folder that was given instead of a mission file."""
 
 import json
 from pathlib import Path
@@ -8,21 +8,21 @@ from unbend.tables.manifest.file_names import MANIFEST, REPORT
 
 MISSION_ENDINGS = (".yaml", ".yml")
 
-_HEAD_BYTES = 1 << 16
+_HEAD_BYTES = 1 << 16  # enough to recognise a flight log
 
 
 class OtherFile(NamedTuple):
-    """What a file is, and what to do instead of giving it as a mission file."""
+    """A file of another kind, given instead of a mission file."""
 
-    what: str
-    remedy: str
+    what: str  # it is, in words
+    remedy: str  # what to do
 
 
 class _Mark(NamedTuple):
-    """Files that begin with some bytes."""
+    """The bytes at the beginning of a kind of files."""
 
     mark: bytes
-    what: str
+    what: str  # such a file is, in words
 
 
 _MARKS = (
@@ -44,7 +44,10 @@ _TABLES = (".csv", ".tsv", ".txt", ".pos", ".dat")
 
 
 def other_file(path: Path) -> OtherFile | None:
-    """What a path is, if it is surely no mission file; None where only its text can tell."""
+    """What a path is, if it cannot be a mission file; None if it may be one.
+
+    None also for a path that cannot be read.
+    """
     if path.is_dir():
         return _folder(path)
     try:
@@ -52,14 +55,14 @@ def other_file(path: Path) -> OtherFile | None:
             head = stream.read(_HEAD_BYTES)
     except OSError:
         return None
-    run = run_of(path)
-    if run is not None and path.suffix in (".json", ".html", ".parquet"):
-        return _results(run)
-    return _flight_log(path, head) or _by_mark(head) or _text_file(path, head)
+    folder = results_folder_of(path)
+    if folder is not None and path.suffix in (".json", ".html", ".parquet"):
+        return _results(folder)
+    return _flight_log(path, head) or _binary_file(head) or _text_file(path, head)
 
 
-def run_of(path: Path) -> Path | None:
-    """The folder of the results that a path is or is in; None for any other path."""
+def results_folder_of(path: Path) -> Path | None:
+    """The folder of results of a run: the path itself, or the folder around it; else None."""
     for folder in (path, path.parent):
         if (folder / MANIFEST).is_file() and (folder / REPORT).is_file():
             return folder
@@ -67,9 +70,8 @@ def run_of(path: Path) -> Path | None:
 
 
 def _folder(path: Path) -> OtherFile:
-    """What a folder is."""
-    run = run_of(path)
-    if run == path:
+    """What a folder is: the results of a run, or any other folder."""
+    if results_folder_of(path) == path:
         return _results(path, "the folder of the results of a run")
     if _has_mission_files(path):
         return OtherFile("a folder", f"name its mission files: {path}/*.yaml")
@@ -82,7 +84,7 @@ def _has_mission_files(path: Path) -> bool:
 
 
 def _results(folder: Path, what: str = "a file of the results of a run") -> OtherFile:
-    """What to do with a folder of results, or with a file in it."""
+    """A folder of results, or a file in it; ``what`` names which of both."""
     return OtherFile(
         what,
         f"name the mission file of these results; `unbend verify {folder}` checks them, "
@@ -91,8 +93,11 @@ def _results(folder: Path, what: str = "a file of the results of a run") -> Othe
 
 
 def _flight_log(path: Path, head: bytes) -> OtherFile | None:
-    """A flight log of a known format, by its content; or by its ending, if it is no text."""
-    # takes a while, and only where something is wrong
+    """A flight log of a known format, by its first bytes, or by its ending if it is not text.
+
+    None for any other file.
+    """
+    # Imported here because it takes a while, and is needed only if something is wrong.
     from unbend.ingest.registry import FORMATS, format_of_head
 
     form = format_of_head(head)
@@ -108,8 +113,8 @@ def _flight_log(path: Path, head: bytes) -> OtherFile | None:
     )
 
 
-def _by_mark(head: bytes) -> OtherFile | None:
-    """A file of a known kind by its first bytes, or any that is no text."""
+def _binary_file(head: bytes) -> OtherFile | None:
+    """A file of a known kind by its first bytes, or any other file that is not text; else None."""
     for mark, what in _MARKS:
         if head.startswith(mark):
             return OtherFile(what, _NAMED_IN_MISSION)
@@ -119,7 +124,7 @@ def _by_mark(head: bytes) -> OtherFile | None:
 
 
 def _text_file(path: Path, head: bytes) -> OtherFile | None:
-    """A page, a manifest, a schema, XML or a table."""
+    """A page, XML, JSON or a table, by text and ending; None for a text that may be a mission."""
     text = head.decode("utf-8", errors="ignore").lstrip("\ufeff \r\n\t")
     ending = path.suffix.lower()
     if text[:15].lower().startswith(("<!doctype html", "<html")):
@@ -134,7 +139,7 @@ def _text_file(path: Path, head: bytes) -> OtherFile | None:
 
 
 def _json_file(path: Path) -> OtherFile | None:
-    """A manifest or a schema; None for other JSON, which may be a mission file, as YAML is."""
+    """A manifest, a schema or GeoJSON; None for other JSON, which is YAML and may be a mission."""
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -149,7 +154,7 @@ def _json_file(path: Path) -> OtherFile | None:
 
 
 def _is_text(head: bytes) -> bool:
-    """Whether the beginning of a file is UTF-8 text."""
+    """Whether the beginning of a file is UTF-8 text without zero bytes."""
     if b"\x00" in head:
         return False
     try:

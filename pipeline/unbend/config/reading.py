@@ -16,7 +16,7 @@ from unbend.errors import Code, ConfigError
 
 
 def load_mission(path: Path | str) -> Mission:
-    """Read and check a mission file; refuses with every mistake, its line and the nearest key."""
+    """Read and check a mission file; refuses (ConfigError) with each mistake and its line."""
     path = Path(path)
     values, node = read_yaml(path)
     mission = mission_of(values, node, str(path))
@@ -25,10 +25,10 @@ def load_mission(path: Path | str) -> Mission:
 
 
 def folder_of(mission: Mission) -> Path:
-    """Where the relative paths of a mission count from.
+    """The folder that relative paths of a mission are relative to.
 
-    That is the folder of the file that `load_mission` read; for a mission that was made in memory
-    the working directory.
+    It is that of the file that `load_mission` read; the working directory for a mission that was
+    made in memory.
     """
     return mission._folder
 
@@ -41,9 +41,9 @@ def mission_of(
 ) -> Mission:
     """Check the values of a mission and return the mission that they state.
 
-    ``own`` are the values of the mission itself, ``defaults`` those of its campaign, which hold
-    where the mission has none. ``node`` knows the lines of ``own``; None if their lines are not
-    known. ``where`` names the mission in a refusal.
+    ``own`` are the values of the mission itself, ``defaults`` those of its campaign for keys that
+    the mission does not state. ``node`` has the lines of ``own``; None if they are unknown.
+    ``where`` names the mission in a refusal.
     """
     if "campaign" in own and "mission" not in own:
         raise messages.config_campaign(where=where)
@@ -67,10 +67,9 @@ def refusal_of(
     *,
     own: dict[str, Any] | None = None,
 ) -> ConfigError:
-    """The refusal of a mission or campaign file, which tells its first mistakes.
+    """The refusal of a mission or campaign file, with its first `MOST_SENTENCES` mistakes.
 
-    ``items`` are errors of pydantic; open questions in ``values`` are mistakes too. ``own`` are the
-    values of the mission file itself, the others are from its campaign.
+    Arguments as in `sentences_of`; ``where`` names the file.
     """
     sentences = sentences_of(items, values, node, own)
     has_more = len(sentences) > MOST_SENTENCES or len(items) > MOST_REFUSED
@@ -81,7 +80,7 @@ def refusal_of(
 
 
 def _code_of(items: Sequence[Mapping[str, Any]], *, has_questions: bool) -> Code:
-    """The code of a refusal: for open questions; else for unknown keys; else for other mistakes."""
+    """The code of a refusal: of open questions, else of unknown keys, else of other mistakes."""
     if has_questions:
         return messages.CONFIG_TODO
     if any(item["type"] == "extra_forbidden" for item in items):

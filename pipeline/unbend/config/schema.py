@@ -15,16 +15,19 @@ Node = dict[str, Any]
 PATH = r"^[^\x00]+$"
 """The pattern of keys that take a path."""
 
-# What validators fill in, where the value of another key makes it known: a block has its own path
-# and angles, heights that follow from the camera's are above mean sea level.
+# Keys that validators fill in if the value of another key decides them: a block has its own path
+# and angles, heights that follow from those of the cameras are above mean sea level.
 _FILLED_IN = {"OrientationSection": {"path", "angles"}, "GroundSection": {"reference"}}
 
 SHOWN_LAST = ("description", "unit", "examples", "patternErrorMessage")
-"""What people read of a key stands behind what machines do."""
+"""Entries of a key for people; in the schema they come after those for machines."""
 
 
 def all_sections(annotation: object = Mission | CampaignFile) -> dict[str, type[BaseModel]]:
-    """The sections in the type of a key, and all within these, by the names of their classes."""
+    """The sections in the type of a key, and all sections inside them, by the names of classes.
+
+    ``annotation`` is the type: a section, or a union, list or mapping of types.
+    """
     sections: dict[str, type[BaseModel]] = {}
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         sections[annotation.__name__] = annotation
@@ -37,9 +40,9 @@ def all_sections(annotation: object = Mission | CampaignFile) -> dict[str, type[
 
 
 def mission_schema() -> Node:
-    """The JSON schema (draft 7) of a mission file, without what depends on several keys at once.
+    """The JSON schema (draft 7) of a mission file; a copy, which the caller may change.
 
-    It is a copy, which the caller may change.
+    It does not contain the conditions on several keys that validators check.
     """
     return deepcopy(_schema_of_missions())
 
@@ -47,15 +50,15 @@ def mission_schema() -> Node:
 def campaign_schema() -> Node:
     """The JSON schema (draft 7) of a campaign file; a copy, which the caller may change.
 
-    No key of a mission is required in it: the defaults of the campaign may state what a mission
-    leaves out, and the missions what the defaults leave out.
+    It requires no key of a mission: the defaults of the campaign may state what a mission leaves
+    out, and the reverse.
     """
     return deepcopy(_schema_of_campaigns())
 
 
 @cache
 def _schema_of_missions() -> Node:
-    """As `mission_schema`, made once."""
+    """As `mission_schema`, but always the same object."""
     schema = _in_order(Mission.model_json_schema(), Mission)
     path_alone = {"type": "string", "minLength": 1, "pattern": PATH}
     schema["properties"]["control"]["anyOf"].append(path_alone)
@@ -64,7 +67,7 @@ def _schema_of_missions() -> Node:
 
 @cache
 def _schema_of_campaigns() -> Node:
-    """As `campaign_schema`, made once."""
+    """As `campaign_schema`, but always the same object."""
     schema = _in_order(CampaignFile.model_json_schema(), CampaignFile)
     mission = mission_schema()
     draft = mission.pop("$schema")
@@ -80,9 +83,10 @@ def _schema_of_campaigns() -> Node:
 
 
 def _in_order(schema: Node, root: type[BaseModel]) -> Node:
-    """The schema of pydantic, changed where it stands: no titles, texts for people last.
+    """Change the schema that pydantic makes of the model ``root``, and return it.
 
-    Keys that validators fill in are not required, and a default that a factory makes is stated.
+    Titles are removed and texts for people moved to the end. Keys that validators fill in are not
+    required, and defaults from factories are added.
     """
     for name, section in all_sections(root).items():
         node = schema if section is root else schema["$defs"][name]
@@ -97,7 +101,7 @@ def _in_order(schema: Node, root: type[BaseModel]) -> Node:
 
 
 def _put_in_order(value: Node) -> None:
-    """Remove the title of a key, and move what people read of it to the end."""
+    """Change the schema of a key: remove its title, and move texts for people to the end."""
     value.pop("title", None)
     for shown in SHOWN_LAST:
         if shown in value:
@@ -105,7 +109,10 @@ def _put_in_order(value: Node) -> None:
 
 
 def alternatives(node: Node) -> list[Node]:
-    """The nodes that a node of the schema may stand for, without null; references are followed."""
+    """The alternatives (arms) of a node of the schema, without null; references are followed.
+
+    A node without alternatives is its only one.
+    """
     if "$ref" in node:
         return [_definition(node["$ref"].rpartition("/")[2])]
     arms = node.get("anyOf") or node.get("oneOf")
@@ -129,9 +136,10 @@ def _definition(name: str) -> Node:
 
 
 def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
-    """The nodes of the schema for a place in a mission or campaign file; empty for no such place.
+    """The nodes of the schema for a place in a mission or campaign file.
 
-    There are several where a value may be of several kinds.
+    There are several if a section on the way may be of several kinds, and none if the place does
+    not exist.
     """
     nodes = [_schema_of_missions()]
     if keys and keys[0] in CampaignFile.model_fields:
@@ -140,13 +148,13 @@ def nodes_at(keys: tuple[str | int, ...]) -> list[Node]:
         inner: list[Node] = []
         for node in nodes:
             for arm in alternatives(node):
-                inner += _at(arm, key)
+                inner += _nodes_under(arm, key)
         nodes = inner
     return nodes
 
 
-def _at(node: Node, key: str | int) -> list[Node]:
-    """The node under a key, or at a place in a list; empty without one."""
+def _nodes_under(node: Node, key: str | int) -> list[Node]:
+    """The node under a key, or of an item of a list; empty without such a key."""
     if isinstance(key, int):
         return [node["items"]] if "items" in node else []
     if key in node.get("properties", {}):

@@ -1,4 +1,4 @@
-"""What all sections of a mission file are made of."""
+"""The base class of all sections of a mission file, and types of values that they share."""
 
 import re
 from collections.abc import Callable, Collection, Iterator
@@ -16,14 +16,14 @@ from pydantic import (
 from unbend.tables.imports.blocks import BLOCKS
 from unbend.units import LARGEST_NUMBER
 
-LONGEST_PATH = 4096  # bytes that systems take
-LONGEST_FILE_NAME = 255  # bytes; a longer name is no file's, and looking for it is an error
+LONGEST_PATH = 4096  # bytes that operating systems allow
+LONGEST_FILE_NAME = 255  # bytes that file systems allow; looking for a longer name is an error
 
 Value = TypeVar("Value")
 
 
 def _checked_path(value: str) -> str:
-    """A path that a system can look for, or a URL, which may be longer."""
+    """Check the length of a path and return it as it is; a URL may have any length."""
     if "://" in value:
         return value
     names = re.split(r"[/\\]", value)  # Windows writes both
@@ -45,7 +45,10 @@ Celsius = Annotated[float, Field(ge=-60, le=60)]
 
 
 def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
-    """The check that a value is one of those that are registered when it is read."""
+    """A validator that refuses values which are not among the names.
+
+    The names are those that ``names`` returns when a mission file is read.
+    """
 
     def check(value: str) -> str:
         if value not in names():
@@ -56,12 +59,12 @@ def one_of(names: Callable[[], Collection[str]]) -> AfterValidator:
 
 
 def is_block(value: object) -> bool:
-    """Whether a format is that of a block of another program, with cameras and orientations."""
+    """Whether a format is that of a block: a project of another program with its cameras."""
     return isinstance(value, str) and value in BLOCKS
 
 
 def _numbers_in(value: object) -> Iterator[float]:
-    """The numbers that a value is or lists, those of inner lists included."""
+    """The number that a value is, or the numbers in a list and in lists inside it."""
     if isinstance(value, int | float):
         yield value
     elif isinstance(value, list):
@@ -79,7 +82,7 @@ class Section(BaseModel):
     @field_validator("*")
     @classmethod
     def _check_numbers(cls, value: Value) -> Value:
-        """Refuse numbers that are larger than anything which is measured: they overflow."""
+        """Refuse numbers that are larger than any measured value: calculations would overflow."""
         for number in _numbers_in(value):
             if abs(number) > LARGEST_NUMBER:
                 raise SectionError(f"contains a number beyond {LARGEST_NUMBER:g}")
@@ -126,7 +129,7 @@ ENDINGS_OF_FILES = (
 
 
 def folder_of_results(path: str) -> str:
-    """The path of a folder; refuses (SectionError) one that is named as a file."""
+    """Check the path of a folder of results and return it; raises SectionError for a file."""
     ending = PurePath(path).suffix
     if ending.lower() in ENDINGS_OF_FILES:
         folder = path.rstrip("/").removesuffix(ending)

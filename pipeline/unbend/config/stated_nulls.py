@@ -1,13 +1,13 @@
-"""Keys of a mission file that are there with null, which the values alone do not tell from absent.
+"""Keys that a mission file states as null, in contrast to keys that are absent.
 
-What a manifest keeps of a mission states each key: these functions are of missions from a file.
+Only for missions that were read from a file: in the mission of a manifest every key is stated.
 """
 
 from unbend.config.mission_file import Mission
 
 
 def cameras_of_unstated_window(mission: Mission) -> tuple[str, ...]:
-    """The cameras of which the mission file says neither a window nor that there is none."""
+    """The cameras for which the mission file states neither a window, nor null, nor an opening."""
     names = []
     for name, camera in mission.cameras.items():
         stated = camera.model_fields_set
@@ -17,10 +17,10 @@ def cameras_of_unstated_window(mission: Mission) -> tuple[str, ...]:
 
 
 def stated_nulls(mission: Mission) -> tuple[str, ...]:
-    """The keys with null that mean something else than keys that are absent."""
+    """The keys that are stated as null, if that means something else than an absent key."""
     keys = []
     if mission.log is not None:
-        for role in sorted(mission.log.channels.empty):
+        for role in sorted(mission.log.channels.unused_roles):
             keys.append(f"log.channels.{role}")
     for name, camera in mission.cameras.items():
         stated = camera.model_fields_set

@@ -79,11 +79,11 @@ class TrajectoryColumns(PoseColumns):
         return self
 
     def _has_all(self, *names: str) -> bool:
-        """Whether all columns of a group are named; refuses a group of which only some are."""
-        given = [name for name in names if name in self.named]
-        if given and len(given) < len(names):
-            raise SectionError(f"{given[0]} needs {', '.join(names)}")
-        return bool(given)
+        """Whether all columns of a group are named; refuses a group with only some of them."""
+        named = [name for name in names if name in self.named]
+        if named and len(named) < len(names):
+            raise SectionError(f"{named[0]} needs {', '.join(names)}")
+        return bool(named)
 
 
 class TrajectorySection(Section):
@@ -172,14 +172,14 @@ class TrajectorySection(Section):
 
     @property
     def moves_stations(self) -> bool:
-        """Whether positions come from the trajectory, and with them the point that they are of."""
+        """Whether stations get their positions from the trajectory, not from the log."""
         return self.replaces is None or "position" in self.replaces
 
     @property
     def has_angles(self) -> bool:
-        """Whether attitudes come from roll, pitch and yaw of a table."""
-        replaced = self.replaces is None or "attitude" in self.replaces
-        return replaced and self.columns is not None and self.columns.yaw is not None
+        """Whether attitudes come from columns of roll, pitch and yaw, not from a quaternion."""
+        gives_attitude = self.replaces is None or "attitude" in self.replaces
+        return gives_attitude and self.columns is not None and self.columns.yaw is not None
 
     @model_validator(mode="after")
     def _check_point(self) -> Self:
@@ -193,10 +193,10 @@ class TrajectorySection(Section):
         if self.point == "camera" and has_lever_arm:
             raise SectionError("with point: camera there is no lever arm")
         # A lever arm moves position and height together; so does a change of the point.
-        replaces_one = False
+        replaces_only_one = False  # of position and height
         if self.replaces is not None:
-            replaces_one = ("position" in self.replaces) != ("height" in self.replaces)
-        if replaces_one and (self.point == "camera" or has_lever_arm):
+            replaces_only_one = ("position" in self.replaces) != ("height" in self.replaces)
+        if replaces_only_one and (self.point == "camera" or has_lever_arm):
             raise SectionError(
                 "a lever arm or point: camera needs both position and height replaced"
             )
@@ -204,6 +204,7 @@ class TrajectorySection(Section):
 
     @property
     def _is_csv(self) -> bool:
+        """Whether the file is a CSV, by its format or else its ending."""
         if self.format is not None:
             return self.format == "csv"
         _, endings = TRAJECTORIES["csv"]

@@ -100,8 +100,7 @@ class CabinSection(Section):
     def build(self) -> Cabin:
         """The air in the compartment, in SI units.
 
-        A quantity is `UNKNOWN` where it is logged, or is left to its default; the pressure also
-        where it is ambient.
+        A quantity that is logged or not stated is `UNKNOWN` (NaN), as is an ambient pressure.
         """
         pressure = self.pressure if self.pressure_hpa is None else self.pressure_hpa
         source: Literal["log", "ambient", "constant"] = "constant"
@@ -109,29 +108,29 @@ class CabinSection(Section):
             source = pressure
             pressure_pa = UNKNOWN
         else:
-            pressure_pa = _known(pressure) * HECTOPASCAL
+            pressure_pa = _number_or_unknown(pressure) * HECTOPASCAL
         if isinstance(self.temperature_c, str):
             temperature_k = UNKNOWN
         else:
-            temperature_k = _known(self.temperature_c) + ZERO_CELSIUS_K
+            temperature_k = _number_or_unknown(self.temperature_c) + ZERO_CELSIUS_K
         return Cabin(
             source,
             pressure_pa=pressure_pa,
             temperature_k=temperature_k,
-            relative_humidity=_known(self.relative_humidity),
-            sigma_pressure_pa=_known(self.sigma_pressure_hpa) * HECTOPASCAL,
-            sigma_temperature_k=_known(self.sigma_temperature_k),
+            relative_humidity=_number_or_unknown(self.relative_humidity),
+            sigma_pressure_pa=_number_or_unknown(self.sigma_pressure_hpa) * HECTOPASCAL,
+            sigma_temperature_k=_number_or_unknown(self.sigma_temperature_k),
             temperature_logged=self.temperature_c == "log",
         )
 
 
-def _known(value: float | None) -> float:
-    """A number; NaN where the mission file has none."""
+def _number_or_unknown(value: float | None) -> float:
+    """The number itself, or `UNKNOWN` (NaN) for None."""
     return UNKNOWN if value is None else value
 
 
-PART_UNKNOWN = 0.5
-"""Of a difference of air whose standard deviation is not stated: that is half of it."""
+UNSTATED_SIGMA_SHARE = 0.5
+"""Standard deviation of a difference of air, as a share of it, if it is not stated."""
 
 SHORTEST_NORMAL = 1e-6  # a shorter vector has no direction: `Window` refuses it
 
@@ -140,7 +139,7 @@ _KEY_OF_REFUSAL = {"WINDOW-AIR": "cabin", "WINDOW-NORMAL": "normal"}
 
 
 def unit_normal(value: list[float]) -> list[float]:
-    """A normal of length 1; zeros, which `Window` refuses, for one without a direction."""
+    """A normal scaled to length 1; zeros, which `Window` refuses, for a vector near zero."""
     length = float(np.linalg.norm(value))
     if length <= SHORTEST_NORMAL:
         return [0.0, 0.0, 0.0]
@@ -196,7 +195,7 @@ class WindowSection(Section):
 
     @cached_property
     def window(self) -> Window:
-        """The window, with cabin air in SI."""
+        """The window and the air behind it, in SI units."""
         cabin: Cabin | None = None
         if isinstance(self.cabin, CabinSection):
             cabin = self.cabin.build()
@@ -302,13 +301,13 @@ class OpeningSection(Section):
 
     @cached_property
     def opening(self) -> Window:
-        """The opening as a window without glass, in SI."""
+        """The opening as a window without glass, in SI units."""
         sigma_k = self.sigma_warmer_k
         if sigma_k is None:
-            sigma_k = PART_UNKNOWN * abs(self.warmer_k)
+            sigma_k = UNSTATED_SIGMA_SHARE * abs(self.warmer_k)
         sigma_hpa = self.sigma_pressure_excess_hpa
         if sigma_hpa is None:
-            sigma_hpa = PART_UNKNOWN * abs(self.pressure_excess_hpa)
+            sigma_hpa = UNSTATED_SIGMA_SHARE * abs(self.pressure_excess_hpa)
         air = Cabin(
             "opening",
             warmer_k=self.warmer_k,

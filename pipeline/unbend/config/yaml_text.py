@@ -15,10 +15,10 @@ from unbend.config.other_files import MISSION_ENDINGS, other_file
 from unbend.errors import ConfigError
 
 Place = tuple[str | int, ...]
-"""What leads to a value: keys of mappings, and for lists the numbers of their items, from 0."""
+"""The place of a value: the keys that lead to it, and for lists the numbers of items, from 0."""
 
 TODO = "TODO"
-"""What stands in a mission file for a question that is still open."""
+"""The value of a key in a mission file that the user still has to write: an open question."""
 
 PROBLEMS = {
     "mapping values are not allowed here": (
@@ -42,9 +42,9 @@ PROBLEMS = {
         "there are several documents (---); a mission file must have one"
     ),
 }
-"""Beginnings of what the YAML parser says, and the same in plain words."""
+"""Beginnings of problems that the YAML parser reports, and plain words for them."""
 
-MOST_BRACKETS = 50  # a mission file has five within each other at most
+MOST_BRACKETS = 50  # inside each other; a mission file has five at most
 
 MOST_BYTES = 500_000
 """Of a mission file, which has some kB: the YAML parser takes 2 s for half a megabyte."""
@@ -57,36 +57,39 @@ _BEFORE_QUOTES = (
     "expected <block end>",
     "mapping values are not allowed here",
 )
-"""What the parser says, among others, of a text with brackets that has no quotes."""
+"""Beginnings of problems that a text with brackets but without quotes may cause."""
 
 _WITH_BRACKETS = re.compile(
     r"""(?P<before>[^\s,:{}\[\]"']*)[\[{][^\s,{}\[\]"']*[\]}](?P<behind>[^\s,:{}\[\]"']*)"""
 )
 
 _REPLACED_TYPES = ("bool", "int", "float", "timestamp")
-"""Scalars that YAML 1.1 reads otherwise than a mission file means them; dates stay words."""
+"""Types of scalars that YAML 1.1 reads differently; rules of YAML 1.2 replace them below."""
 
 
 _OWN_WORDS = ("the key ", "a key ", "a number ", "an alias ", "aliases ", "too many brackets ")
-"""Beginnings of the problems that `MissionLoader` and `_expanded_size` state."""
+"""Beginnings of problems in our own words, from `MissionLoader` and `_expanded_size`."""
 
 _YAML_ERRORS = (
     yaml.YAMLError,
     ValueError,
-    RecursionError,  # brackets in brackets, and an alias that holds itself
-    LookupError,  # these are of tags (!!bool x, !!timestamp x)
+    RecursionError,  # brackets in brackets, and an alias that contains itself
+    LookupError,  # this and the next are caused by tags (!!bool x, !!timestamp x)
     AttributeError,
     TypeError,
     ArithmeticError,
 )
-"""What reading a text as YAML raises."""
+"""Errors that reading a text as YAML may raise."""
 
 
 class MissionLoader(yaml.SafeLoader):
     """YAML 1.2 scalars (1e-6 is a number, no, on and 1:30 are words) and no repeated keys."""
 
     def fetch_flow_collection_start(self, kind: type[yaml.Token]) -> None:
-        """Refuse brackets within many others: the time to read them grows with their square."""
+        """Refuse more than `MOST_BRACKETS` brackets inside each other.
+
+        The time to read them grows with the square of their number.
+        """
         if self.flow_level >= MOST_BRACKETS:
             raise yaml.scanner.ScannerError(
                 problem="too many brackets are inside each other", problem_mark=self.get_mark()
@@ -94,7 +97,7 @@ class MissionLoader(yaml.SafeLoader):
         super().fetch_flow_collection_start(kind)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """A mapping whose keys are words, each once."""
+        """The mapping of a node; refuses keys that are not words, and repeated keys."""
         _refuse_decimal_comma(node)
         seen: set[str] = set()
         for key, _ in node.value:
@@ -111,7 +114,7 @@ class MissionLoader(yaml.SafeLoader):
 
 
 def _whole_number(loader: MissionLoader, node: yaml.ScalarNode) -> int:
-    """A whole number; Python takes none of more than 4300 digits."""
+    """The whole number of a node; refuses more than 4300 digits, which Python does not convert."""
     try:
         return int(loader.construct_yaml_int(node))
     except (ValueError, LookupError):
@@ -121,7 +124,7 @@ def _whole_number(loader: MissionLoader, node: yaml.ScalarNode) -> int:
 
 
 def _refused_tag(loader: MissionLoader, node: yaml.Node) -> None:
-    """The refusal of a value with a tag of YAML that no key takes."""
+    """Refuse (ConstructorError) a value with a tag of YAML that no key allows."""
     loader.construct_undefined(node)
 
 
@@ -150,7 +153,10 @@ MissionLoader.add_implicit_resolver(
 
 
 def _refuse_decimal_comma(node: yaml.MappingNode) -> None:
-    """Refuse a number with a decimal comma in braces, where a comma parts keys: {k1: -0,018}."""
+    """Refuse a number with a decimal comma in braces, as {k1: -0,018}.
+
+    There a comma separates keys: YAML reads k1: -0 and a key 018 without a value.
+    """
     for (key, value), (next_key, next_value) in pairwise(node.value):
         if not all(
             isinstance(part, yaml.ScalarNode) for part in (key, value, next_key, next_value)
@@ -168,7 +174,10 @@ def _refuse_decimal_comma(node: yaml.MappingNode) -> None:
 
 
 def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
-    """The sections of a file, and its nodes, which know their lines; refuses what is not YAML."""
+    """The values of a file by section, and its root node, which has the lines of the keys.
+
+    Refuses (ConfigError) any file that is not YAML with keys.
+    """
     text = _text_of(path)
     try:
         loader = MissionLoader(text)
@@ -185,13 +194,13 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], yaml.Node]:
 
 
 def _text_of(path: Path) -> str:
-    """The text of a mission file; refuses what is no file, no mission file, or no text."""
+    """The text of a mission file; refuses (ConfigError) other files, and those without text."""
     try:
         # Reading a pipe might never end; a name that is too long raises here.
-        is_other = path.exists() and not (path.is_file() or path.is_dir())
+        is_device = path.exists() and not (path.is_file() or path.is_dir())
     except OSError as error:
         raise messages.config_unreadable(path=path, problem=str(error.strerror)) from None
-    if is_other:
+    if is_device:
         problem = "it is a pipe or a device, not a file"
         raise messages.config_unreadable(path=path, problem=problem)
     refuse_other_file(path)
@@ -207,9 +216,9 @@ def _text_of(path: Path) -> str:
 
 
 def refuse_other_file(path: Path) -> None:
-    """Refuse (CONFIG-UNREADABLE) a log, a table, a folder: what is surely no mission file.
+    """Refuse (CONFIG-UNREADABLE) a path that cannot be a mission file, as a log or a folder.
 
-    Files with the endings of mission files are not looked at.
+    Files with the ending of a mission file pass.
     """
     if path.suffix.lower() in MISSION_ENDINGS and path.is_file():
         return
@@ -219,10 +228,11 @@ def refuse_other_file(path: Path) -> None:
 
 
 def _expanded_size(node: yaml.Node, sizes: dict[int, int], around: set[int]) -> int:
-    """How many values a node holds where each alias (*) is written out.
+    """How many values a node contains if each alias (*) is written out.
 
-    Raises ConstructorError for an alias inside what it stands for, and for more values than
-    `MOST_VALUES`. ``sizes`` are those known by the ids of nodes, ``around`` the nodes around it.
+    Raises ConstructorError for an alias inside the node that it repeats, and for more than
+    `MOST_VALUES`. ``sizes`` (results so far) and ``around`` (nodes around this one) have nodes by
+    their ``id``; both are changed.
     """
     if isinstance(node, yaml.ScalarNode):
         return 1
@@ -248,7 +258,7 @@ def _expanded_size(node: yaml.Node, sizes: dict[int, int], around: set[int]) -> 
 
 
 def _nodes_in(node: yaml.Node) -> Iterator[yaml.Node]:
-    """The keys and values of a section, or the items of a list."""
+    """The nodes of keys and values of a section, or of the items of a list."""
     if isinstance(node, yaml.SequenceNode):
         yield from node.value
     elif isinstance(node, yaml.MappingNode):
@@ -258,7 +268,10 @@ def _nodes_in(node: yaml.Node) -> Iterator[yaml.Node]:
 
 
 def refusal_of_text(error: Exception, path: Path, lines: Sequence[str]) -> ConfigError:
-    """The refusal of a text that the parser does not take, with its line where that is known."""
+    """The refusal of a text that is not YAML, with its line if the parser states it.
+
+    ``lines`` are those of the text.
+    """
     mark = getattr(error, "problem_mark", None)
     if mark is None:
         return messages.config_yaml(where=str(path), problem=problem_of(error, ""))
@@ -269,7 +282,7 @@ def refusal_of_text(error: Exception, path: Path, lines: Sequence[str]) -> Confi
 
 
 def problem_of(error: Exception, line: str) -> str:
-    """What the parser found, in plain words; ``line`` is the text where it stopped."""
+    """The problem of the parser in plain words; ``line`` is the text where it stopped."""
     problem = str(getattr(error, "problem", None) or error)
     if problem.startswith(_OWN_WORDS):
         return problem  # in the words of `MissionLoader`
@@ -279,11 +292,11 @@ def problem_of(error: Exception, line: str) -> str:
     for beginning, words in PROBLEMS.items():
         if problem.startswith(beginning):
             return words
-    return "here the text is not YAML"  # a problem that has no words of ours
+    return "here the text is not YAML"  # a problem that `PROBLEMS` does not list
 
 
 def text_without_quotes(line: str) -> str:
-    """The first text of a line that has brackets or braces in it, and no quotes; "" without one.
+    """The first text in a line that has brackets or braces inside, but no quotes; else "".
 
     >>> text_without_quotes("nadir: {channel: CAM[0], image: x}")
     'CAM[0]'
@@ -297,12 +310,15 @@ def text_without_quotes(line: str) -> str:
 
 
 def open_questions(values: object) -> list[Place]:
-    """The places of a mission file where `TODO` stands; what aliases repeat counts once."""
+    """The places with the value `TODO`, in the order of the file.
+
+    In a section or list that aliases repeat, they count once.
+    """
     questions: list[Place] = []
     walked: set[int] = set()
-    left: list[tuple[Place, Any]] = [((), values)]
-    while left:
-        place, value = left.pop()
+    unvisited: list[tuple[Place, Any]] = [((), values)]
+    while unvisited:
+        place, value = unvisited.pop()
         if value == TODO:
             questions.append(place)
         if not isinstance(value, dict | list):
@@ -312,21 +328,21 @@ def open_questions(values: object) -> list[Place]:
         walked.add(id(value))
         items = value.items() if isinstance(value, dict) else enumerate(value)
         inner = [((*place, key), item) for key, item in items]
-        left += reversed(inner)  # the last one is taken first: in the order of the file
+        unvisited += reversed(inner)  # the last entry is taken first
     return questions
 
 
 def line_of(node: yaml.Node, place: Place) -> int:
-    """The line of the last key of a place; of the last one that is there, if others are missing.
+    """The number of the line (from 1) of the last key of a place that is in the file.
 
-    An item of a list has no key: its line is that of the list's key.
+    ``node`` is the root of the file. An item of a list has no key: its line is that of the list.
     """
     line = int(node.start_mark.line) + 1
     for key in place:
         if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
             node = node.value[key]
             continue
-        pair = _pair_of(node, key)
+        pair = _nodes_of_key(node, key)
         if pair is None:
             break
         key_node, node = pair
@@ -334,8 +350,8 @@ def line_of(node: yaml.Node, place: Place) -> int:
     return line
 
 
-def _pair_of(node: yaml.Node, key: str | int) -> tuple[yaml.Node, yaml.Node] | None:
-    """The nodes of a key of a mapping and of its value; None without the key."""
+def _nodes_of_key(node: yaml.Node, key: str | int) -> tuple[yaml.Node, yaml.Node] | None:
+    """The node of a key in a mapping, and that of its value; None without this key."""
     if not isinstance(node, yaml.MappingNode):
         return None
     for key_node, value_node in node.value:
@@ -345,7 +361,7 @@ def _pair_of(node: yaml.Node, key: str | int) -> tuple[yaml.Node, yaml.Node] | N
 
 
 def has_place(values: object, place: Place) -> bool:
-    """Whether a place is in the values of a file."""
+    """Whether the values of a file have something at a place, null included."""
     value: Any = values
     for key in place:
         if isinstance(value, dict):

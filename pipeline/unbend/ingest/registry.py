@@ -89,7 +89,7 @@ def open_log(
     except LogError as error:
         if error.where:
             raise
-        raise error.again(LogError, path) from error
+        raise error.as_kind(LogError, where=path) from error
     channels = contents.channels
     return Log(
         **vars(contents),

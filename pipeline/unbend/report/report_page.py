@@ -17,7 +17,7 @@ from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictU
 from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 
-from unbend.caches import parsed_templates
+from unbend.caches import parsed_templates_folder
 from unbend.report import cover, summary, words
 from unbend.report.air_curves import QUANTITIES
 from unbend.report.figure_data import Flown, track_of_camera, utc
@@ -153,7 +153,7 @@ def environment() -> Environment:
 
 def template_cache() -> ParsedTemplates | None:
     """Parsed templates of this very code; None where nothing can be kept."""
-    folder = parsed_templates()
+    folder = parsed_templates_folder()
     code = [path.read_bytes() for path in sorted(Path(str(files("unbend.report"))).rglob("*.py"))]
     version = hashlib.sha256(repr([jinja2.__version__, code]).encode()).hexdigest()
     with suppress(OSError):

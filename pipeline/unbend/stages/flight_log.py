@@ -347,7 +347,7 @@ def roles_of_channels(
             names_of_roles(mission),
             needs_cabin=any(camera.needs_cabin_from_log for camera in mission.cameras.values()),
             elsewhere=played_elsewhere,
-            empty=() if mission.log is None else mission.log.channels.empty,
+            empty=() if mission.log is None else mission.log.channels.unused_roles,
         )
     )
     plausible = {}

@@ -24,7 +24,7 @@ import numba
 from filelock import FileLock, Timeout
 from numba.core.event import Listener, register
 
-from unbend.caches import OF_COMPILED, compiled_code
+from unbend.caches import COMPILED_FOLDER, compiled_code_folder
 
 PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 COMPILED_FOLDERS = ("camera", "kernels")  # of that package
@@ -82,7 +82,7 @@ def cache_folder() -> str | None:
     of other sources that were not used for a week are removed; a process that still uses one
     compiles again.
     """
-    base = compiled_code()
+    base = compiled_code_folder()
     folder = os.path.join(base, f"unbend-{source_hash()}")
     try:
         os.makedirs(folder, exist_ok=True)
@@ -100,7 +100,7 @@ def _remove_unused(base: str, current: str) -> None:
     """Remove our folders of other sources that were not used for a week."""
     for name in os.listdir(base):
         path = os.path.join(base, name)
-        if path == current or not OF_COMPILED.fullmatch(name):
+        if path == current or not COMPILED_FOLDER.fullmatch(name):
             continue
         if time.time() - os.stat(path).st_mtime > UNUSED_FOR_S:
             shutil.rmtree(path, ignore_errors=True)

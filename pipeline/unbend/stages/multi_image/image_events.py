@@ -91,7 +91,7 @@ def assigned_stations(
         by_positions = position_likelihood(images, files, event_stations)
         if by_positions is not None:
             likelihoods["positions"] = by_positions
-        anchor = section.anchor(exposed.camera)
+        anchor = section.stated_first_image(exposed.camera)
         assigned = ledger.take(assigned_events(exposed, images, files, anchor, likelihoods))
         named = replace(event_stations.rows(assigned.rows), image=assigned.events.image)
         stations_with_image.append(named)

@@ -279,15 +279,15 @@ def fit_calibration(
     sample = correction_sample(run, name, stations, observed)
     base = in_common_model(calibrated.camera, name, ledger)
     effect = sample.rms(sample.correction_px)
-    camera = fit.changed_camera(base, sample.rays, fit.FEW)
-    full_camera = fit.changed_camera(base, sample.rays, fit.FULL)
-    residual = sample.rms(sample.rays.left_px(camera))
-    full_residual = sample.rms(sample.rays.left_px(full_camera))
+    camera = fit.fitted_camera(base, sample.rays, fit.NADIR_PARAMETERS)
+    full_camera = fit.fitted_camera(base, sample.rays, fit.ALL_PARAMETERS)
+    residual = sample.rms(sample.rays.residual_px(camera))
+    full_residual = sample.rms(sample.rays.residual_px(full_camera))
     unknowns_of_change: Sequence[str] = ("c", "k1")
     if residual.px > max(_GOOD_SHARE * effect.px, _GOOD_RATIO * full_residual.px):
         camera = full_camera
         residual = full_residual
-        unknowns_of_change = fit.CORRECTIONS
+        unknowns_of_change = fit.CORRECTION_TERMS
     change, change_residual_px = fit.correction_change(
         calibrated.camera, sample.rays, unknowns_of_change
     )
@@ -330,8 +330,8 @@ def in_common_model(camera: Camera, name: str, ledger: Ledger) -> Camera:
     )
     lens = camera.distortion
     first_guess = BrownConrady(lens.k1, lens.k2, lens.k3)
-    fitted = fit.changed_camera(replace(camera, distortion=first_guess), rays, fit.FULL)
-    misfit_px = float(np.hypot(*rays.left_px(fitted).T).max())
+    fitted = fit.fitted_camera(replace(camera, distortion=first_guess), rays, fit.ALL_PARAMETERS)
+    misfit_px = float(np.hypot(*rays.residual_px(fitted).T).max())
     if misfit_px > _LARGEST_MISFIT_PX:
         ledger.add(messages.lens_simplified(where=f"cameras.{name}", name=name, misfit=misfit_px))
     return fitted

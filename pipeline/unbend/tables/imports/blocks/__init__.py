@@ -120,7 +120,7 @@ def refusals_of_libraries(
         yield
     except PhysicsError as error:
         where = f"{path}, {error.where}" if error.where else path
-        raise error.again(InputError, where) from None
+        raise error.as_kind(InputError, where=where) from None
     except UnbendError:
         raise
     except _ERRORS_OF_LIBRARIES as error:

@@ -98,7 +98,7 @@ class _CameraRecord:
         except PhysicsError as error:
             if self.line is None:
                 raise
-            raise error.again(PhysicsError, f"line {self.line}") from None
+            raise error.as_kind(PhysicsError, where=f"line {self.line}") from None
 
 
 def read_cameras(path: Path) -> CameraMakers:
