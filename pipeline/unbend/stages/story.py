@@ -33,7 +33,7 @@ from unbend.stages.plausibility.causes import causes_of_statuses, statuses_expla
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.findings import (
     cameras_of_exchanged_sides,
-    known_causes,
+    findings_causing_statuses,
     report_findings,
     settle_findings,
 )
@@ -190,11 +190,11 @@ def correct_mission(
     # What is to be said of the results.
     facts = facts_of(prepared, stations, setup, statistics)
     report_findings(facts, ledger)
-    known = known_causes(facts, ledger)
-    causes = causes_of_statuses(facts, known)
-    explained = statuses_explained(facts, ledger, known)
+    causing_findings = findings_causing_statuses(facts, ledger)
+    causes = causes_of_statuses(facts, causing_findings)
+    explained = statuses_explained(facts, ledger, causing_findings)
     statistics.report_flagged(ledger, causes, explained=explained)
-    settle_findings(mission.accept, known, cameras_of_exchanged_sides(facts), ledger)
+    settle_findings(mission.accept, causing_findings, cameras_of_exchanged_sides(facts), ledger)
     air = replace(air, effects=facts.effects)
     results = results_of_mission(
         mission,
