@@ -50,7 +50,7 @@ class Facts:
 
     @cached_property
     def model_at_takeoff_m(self) -> float:
-        """Height of the elevation model [m above sea level] at the start of the log; NaN if unknown."""
+        """Height of the elevation model where the log begins [m above sea level]; NaN if none."""
         if self.takeoff is None or self.terrain is None:
             return math.nan
         latitude = np.array([self.takeoff.lat_rad])
