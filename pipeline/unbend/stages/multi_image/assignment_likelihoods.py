@@ -152,7 +152,7 @@ class TieLikelihood:
 
 
 def evenly_spaced_of(values: Integers, most: int) -> Integers:
-    """At most ``most`` of ``values`` (n,), evenly spaced among them, with the first and the last."""
+    """At most ``most`` of ``values`` (n,), evenly spaced, with the first and the last."""
     evenly = np.linspace(0, values.size - 1, most)
     rows = np.unique(evenly.astype(int))
     return np.asarray(values[rows])
