@@ -64,9 +64,10 @@ def readings_of_angles(
 ) -> Iterator[AngleReading]:
     """Other units, signs and orders of three angles than those that are stated.
 
-    ``names`` are the names of the angles for messages, ``unit`` is the stated unit. ``order`` is the
-    stated order of photogrammetric angles, as omega_phi_kappa, of which the last turns the image
-    about the camera's axis; None for roll, pitch and yaw.
+    names : of the angles, for messages.
+    unit : the stated unit.
+    order : the stated order of photogrammetric angles, as omega_phi_kappa: the last angle turns the
+        image about the camera's axis. None for roll, pitch and yaw.
     """
     for other_unit, size in RADIANS.items():
         if other_unit != unit:
@@ -133,7 +134,7 @@ def intersected(stations: Stations, rays: ImageRays) -> Intersection:
 def refuse_other_reading(
     stations: Stations, readings: Iterable[StationsReading], rays: ImageRays, *, where: str
 ) -> None:
-    """Refuse (ORIENTATION-READING) stations if rays of tie points meet far better by another reading.
+    """Refuse (ORIENTATION-READING) stations if rays meet far better by another reading.
 
     The best of the ``readings`` has to be 1000 times as likely as what is stated, and its residuals
     at most twice as large as those of an adjusted block.
