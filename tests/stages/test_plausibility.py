@@ -23,17 +23,17 @@ from unbend.refraction.camera.general_frame import GeneralFrame
 from unbend.refraction.camera.opencv_fisheye import OpenCVFisheye
 from unbend.refraction.effect import Effect
 from unbend.stages.multi_image.messages import ties_contradict
+from unbend.stages.plausibility.air_limits import air_of_flight
 from unbend.stages.plausibility.causes import cause_of_outside, statuses_explained
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.findings import (
+    findings_causing_statuses,
     hold_back_extents,
     hold_back_ties,
-    known_causes,
     settle_findings,
 )
 from unbend.stages.plausibility.messages import many_flagged
 from unbend.stages.plausibility.rules import (
-    air_of_flight,
     are_sides_exchanged,
     distortion,
     field_of_view,
@@ -631,7 +631,7 @@ def test_a_finding_is_the_cause_of_flagged_rows_while_it_stands(codes, accepted,
         mission=SimpleNamespace(accept=[SimpleNamespace(code=code) for code in accepted]),
         stations=SimpleNamespace(ok=np.array([False]), status=np.array(["suspect"])),
     )
-    assert known_causes(facts, ledger_of(dict.fromkeys(codes, Kind.FINDING))) == known
+    assert findings_causing_statuses(facts, ledger_of(dict.fromkeys(codes, Kind.FINDING))) == known
 
 
 def test_many_flagged_rows_of_a_known_cause_are_no_other_finding():

@@ -47,7 +47,7 @@ def facts(**values):
         "cameras": {"nadir": CAMERA},
         "view_deg": lambda name: 60.0,
         "axis_deg": lambda name: 0.0,
-        "key_of": lambda name, of_numbers, of_metric: f"cameras.{name}.{of_numbers}",
+        "key_of": lambda name, pixel_key, metric_key: f"cameras.{name}.{pixel_key}",
     }
     return SimpleNamespace(**usual | values)
 
@@ -102,13 +102,13 @@ def ground(km_north, height_m):
     ],
 )
 def test_the_ground_lies_near_the_takeoff(km, height_m, off_m):
-    finding = finding_of(rules.ground_beside_takeoff, ground(km, height_m))
+    finding = finding_of(rules.ground_against_takeoff, ground(km, height_m))
     assert finding["off_m"] == approx(off_m)
 
 
 def test_the_ground_far_below_the_takeoff_in_numbers():
     far_below = ground(10.0, -101.0)
-    finding = finding_of(rules.ground_beside_takeoff, far_below, "ground.height")
+    finding = finding_of(rules.ground_against_takeoff, far_below, "ground.height")
     assert finding["height_m"] == -101.0
     assert finding["allowed_m"] == approx(500.0, abs=0.1)
     assert finding["reference"] == "the take-off, 10 km away"
@@ -139,7 +139,7 @@ def test_the_ground_lies_near_the_logged_terrain(above_m, nadir_rad, off_m):
         nadir_angle_rad=np.full(6, nadir_rad),
     )
 
-    finding = finding_of(rules.ground_beside_terrain, made)
+    finding = finding_of(rules.ground_against_terrain, made)
 
     assert finding["off_m"] == approx(off_m)
     if off_m is not None:
@@ -157,7 +157,7 @@ def test_the_ground_lies_near_the_logged_terrain(above_m, nadir_rad, off_m):
 )
 def test_the_elevation_model_lies_near_the_takeoff(model_m, stands, off_m):
     made = facts(takeoff=takeoff(stands), model_at_takeoff_m=model_m)
-    finding = finding_of(rules.model_beside_takeoff, made)
+    finding = finding_of(rules.model_against_takeoff, made)
     assert finding["off_m"] == off_m
 
 

@@ -33,7 +33,7 @@ from unbend.stages.plausibility.causes import causes_of_statuses, statuses_expla
 from unbend.stages.plausibility.facts import Facts
 from unbend.stages.plausibility.findings import (
     cameras_of_exchanged_sides,
-    known_causes,
+    findings_causing_statuses,
     report_findings,
     settle_findings,
 )
@@ -203,11 +203,11 @@ def correct_mission(
     # Findings, likely causes of uncorrected rows, and the record for the manifest.
     facts = facts_of(prepared, stations, setup, statistics)
     report_findings(facts, ledger)
-    code_of_status = known_causes(facts, ledger)
-    causes = causes_of_statuses(facts, code_of_status)
-    explained = statuses_explained(facts, ledger, code_of_status)
+    causing_findings = findings_causing_statuses(facts, ledger)
+    causes = causes_of_statuses(facts, causing_findings)
+    explained = statuses_explained(facts, ledger, causing_findings)
     statistics.report_flagged(ledger, causes, explained=explained)
-    settle_findings(mission.accept, code_of_status, cameras_of_exchanged_sides(facts), ledger)
+    settle_findings(mission.accept, causing_findings, cameras_of_exchanged_sides(facts), ledger)
     air = replace(air, effects=facts.effects)
     results = results_of_mission(
         mission,

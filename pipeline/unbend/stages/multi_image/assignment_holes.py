@@ -1,4 +1,4 @@
-"""Whether an event or an image is missing in between, so that a part of the images is shifted."""
+"""Whether an event or an image is missing, so that all images after it have wrong events."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ from unbend.stages.multi_image.camera_images import CameraImages
 from unbend.units import Integers
 
 LARGEST_HOLE = 12  # events that a log may lack between two images
-PLACES_OF_HOLES = 20  # that are looked at
+MOST_PLACES = 20  # where an event or an image may be missing: so many are tried
 
 
 def hole_between(
     assignment: Assignment,
     images: CameraImages,
-    exposed: Events,
+    events: Events,
     likelihoods: Mapping[str, Likelihood],
 ) -> str:
-    """What shows that an event or an image is missing in between, in words; empty if nothing.
+    """What shows that an event or an image is missing between others, in words; empty if nothing.
 
-    After a missing event or image all images up to the end would belong to other events than
-    assigned. In this order:
+    All images after a missing event or image would belong to other events than assigned. In this
+    order:
 
-    * Where the times of the images took part in the assignment, nothing is missing unnoticed.
-    * Unless the user stated the event of an image: something is missing if there are fewer events
-      than images (or than images are counted), or if the log lost events and none of
-      ``likelihoods`` could show where.
-    * Something is missing where the likelihoods speak for it (`is_shifted`).
+    * Nothing is missing unnoticed if the times of the images took part in the assignment.
+    * Unless the user stated the event of an image, something is missing if there are fewer events
+      than images (or than the largest number of counted images), or if the log lost events and
+      there are no ``likelihoods`` to show where.
+    * Something is missing at a place where the likelihoods show it (`is_shifted`).
     """
     if "times" in assignment.evidence:
         return ""
     images_count = images.name.size
-    events_count = exposed.time_ns.size
+    events_count = events.time_ns.size
     counted = images.numbering == "counted"
     events_needed = int(images.number.max()) if counted else images_count
-    lost_somewhere = exposed.lost > 0 and not likelihoods
+    lost_somewhere = events.lost > 0 and not likelihoods
     is_event_missing = events_needed > events_count or lost_somewhere
     if is_event_missing and "first_image" not in assignment.evidence:
         if counted:
@@ -61,7 +61,7 @@ def hole_between(
         )
     if not likelihoods:
         return ""
-    order = np.argsort(images.number, kind="stable")  # of the images, by their numbers
+    order = np.argsort(images.number, kind="stable")  # rows of the images, by their numbers
     for place in places_of_holes(assignment, order, likelihoods):
         if is_shifted(
             assignment, images, order, place, events_count=events_count, likelihoods=likelihoods
@@ -73,19 +73,19 @@ def hole_between(
 def places_of_holes(
     assignment: Assignment, order: Integers, likelihoods: Mapping[str, Likelihood]
 ) -> list[int]:
-    """Places in the ``order`` of the images before which an event or an image may be missing.
+    """Indices into ``order`` before which an event or an image may be missing, at most 20.
 
-    With tie points they are those before and after each image that does not fit the others; without
-    tie points they are evenly spaced. At most 20.
+    With tie points they are the places before and after each image that does not fit the others;
+    without tie points they are evenly spaced. ``order`` (k,) sorts the images by number.
     """
     ties = likelihoods.get(TIES)
     if isinstance(ties, TieLikelihood):
         contradicted = np.flatnonzero(np.isin(order, ties.contradicted(assignment.event)))
         places = np.concatenate([contradicted, contradicted + 1])
         if places.size:
-            places = evenly_spaced_of(places, PLACES_OF_HOLES)
+            places = evenly_spaced_of(places, MOST_PLACES)
     else:
-        places = np.linspace(1, order.size - 1, PLACES_OF_HOLES).astype(int)
+        places = np.linspace(1, order.size - 1, MOST_PLACES).astype(int)
     inside = (places > 0) & (places < order.size)
     return [int(place) for place in np.unique(places[inside])]
 
@@ -99,10 +99,11 @@ def is_shifted(
     events_count: int,
     likelihoods: Mapping[str, Likelihood],
 ) -> bool:
-    """Whether images before a place in their order, or from it on, fit far better shifted.
+    """Whether the images before ``place`` in ``order``, or those from it on, fit better if shifted.
 
-    They do if one of the `shifted_assignments` is 1000 times as likely as the assignment. Only tie
-    points that images on both sides of the place show count, because they alone feel the shift.
+    They do if one of the `shifted_assignments` is 1000 times as likely as the assignment. Of the
+    tie points only those count that images on both sides of the place show: a shift of one side
+    changes nothing for the others.
     """
     across_place: list[Likelihood] = []
     for likelihood in likelihoods.values():
@@ -125,22 +126,22 @@ def shifted_assignments(
     *,
     events_count: int,
 ) -> Iterator[Integers]:
-    """Assignments (k,) with the images before a place in their order, or from it on, shifted.
+    """Assignments (k,) with the images before ``place`` in ``order``, or from it on, shifted.
 
-    The shifts, to both sides, are by 1 event up to the difference of the numbers of events and
-    images, which counts as 2 at least; of shifts beyond 12 only that difference itself is tried. An
-    image that would be shifted beyond the events has none (-1). A shift that leaves fewer than half
-    of the shifted images an event is left out.
+    They are shifted to both sides by 1, 2 ... events, up to the difference between the counts of
+    events and images (at least 2); beyond 12 only by that difference itself. An image that is
+    shifted beyond the events has none (-1). A shift by which fewer than half of the shifted images
+    have an event is left out.
     """
     event = assignment.event
     offset = int(np.median((event - images.number)[event >= 0]))
-    surplus = max(2, abs(events_count - order.size))  # of events or of images
+    surplus = max(2, abs(events_count - order.size))  # events without images, or the opposite
     sizes = {*range(1, min(surplus, LARGEST_HOLE) + 1), surplus}
     shifts = [sign * size for size in sizes for sign in (-1, 1)]
     for rows, shift in product((order[:place], order[place:]), shifts):
-        moved = images.number[rows] + offset + shift
-        is_event = (moved >= 0) & (moved < events_count)
-        if 2 * is_event.sum() >= rows.size:
-            shifted = event.copy()
-            shifted[rows] = np.where(is_event, moved, -1)
-            yield shifted
+        shifted_event = images.number[rows] + offset + shift
+        exists = (shifted_event >= 0) & (shifted_event < events_count)
+        if 2 * exists.sum() >= rows.size:
+            assignment_shifted = event.copy()
+            assignment_shifted[rows] = np.where(exists, shifted_event, -1)
+            yield assignment_shifted

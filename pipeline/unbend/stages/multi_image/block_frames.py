@@ -1,4 +1,4 @@
-"""Orientations and points of a block: names of its cameras, its frame, its coordinate system."""
+"""Orientations and object points of a block: names of cameras, frame, coordinate system."""
 
 from dataclasses import replace
 
@@ -30,9 +30,9 @@ SIGMA_OF_LOG_M = 1.5  # positions of an autopilot that fuses a receiver without 
 
 
 def orientation_table(section: OrientationSection, inputs: OpenedInputs) -> OrientationTable:
-    """The table of orientations; that of a block has the mission's names of the cameras.
+    """The table of orientations; the cameras of a block have the names of the mission file.
 
-    Refuses (BLOCK-CAMERA) a camera of the block that the mission file does not name.
+    Refuses (BLOCK-CAMERA) a camera of the block that the mission file does not define.
     """
     table = inputs.orientation
     if table is None:
@@ -57,7 +57,7 @@ def orientation_table(section: OrientationSection, inputs: OpenedInputs) -> Orie
 
 
 def section_of_block(mission: Mission, inputs: OpenedInputs) -> OrientationSection:
-    """The section of orientations, with the coordinate system that a block names by itself."""
+    """The section stations.orientation, with the coordinate system that a block names, if any."""
     section = mission.stations.orientation
     if section is None or inputs.orientation is None:
         raise no_events(where="stations", what="orientation")
@@ -68,9 +68,10 @@ def section_of_block(mission: Mission, inputs: OpenedInputs) -> OrientationSecti
 def block_points(
     mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
 ) -> ObjectPoints:
-    """The object points of a block, above sea level.
+    """The object points of a block, with heights above sea level.
 
-    An image point without an object point gets the median height of those in its image.
+    An image point without an object point gets the median height of the object points in its image.
+    Refuses a block without object points, and a frame in which their heights are impossible.
     """
     section = section_of_block(mission, inputs)
     block = inputs.block_points
@@ -80,12 +81,12 @@ def block_points(
         raise messages.block_without_points(where=section.path)
     table = orientation_table(section, inputs)
     if section.is_geodetic:
-        # Converted as the positions of the images are, in whose place the points stand here; the
-        # notes on the conversion come with the images.
+        # The points take the place of the images' positions, because both are converted in the same
+        # way. The notes on the conversion come with the images.
         table, _ = in_wgs84(section, replace(table, position=block.position), inputs.geoid)
         latitude, longitude, h = table.position.T
     else:
-        frame = frame_of_block(inputs, flight, section, table, exposed=[], ledger=ledger)
+        frame = frame_of_block(inputs, flight, section, table, event_stations=[], ledger=ledger)
         latitude, longitude, h = frame.geodetic(block.position)
     if not section.is_msl(table.heights):
         h = h - flight.heights.undulation(latitude, longitude)
@@ -99,9 +100,9 @@ def block_points(
 def with_medians_of_images(
     points: ObjectPoints, block: BlockPoints, ledger: Ledger
 ) -> ObjectPoints:
-    """The points of a block with the median height of the points in each image.
+    """Add the median height of the object points in each image to the points of a block.
 
-    A note says how far the heights of points are from these medians.
+    A note gives the median distance of the heights from these medians.
     """
     images = []
     medians = []
@@ -114,17 +115,17 @@ def with_medians_of_images(
             images.append(batch["image"][0].as_py())
             medians.append(median)
             from_median.append(np.abs(heights - median))
-    apart = float(np.median(np.concatenate(from_median))) if from_median else 0.0
+    median_distance = float(np.median(np.concatenate(from_median))) if from_median else 0.0
     ledger.add(
         messages.ground_of_block(
             where="ground.height",
             count=len(points.name),
             low=float(np.nanmin(points.h_m)),
             high=float(np.nanmax(points.h_m)),
-            apart=apart,
+            apart=median_distance,
         )
     )
-    # The last is for images without any object point.
+    # The last height is for images without object points.
     usual_heights = np.array([*medians, np.nanmedian(points.h_m)])
     return replace(points, of_image=(pa.array(images, pa.string()), usual_heights))
 
@@ -132,7 +133,11 @@ def with_medians_of_images(
 def in_wgs84(
     section: OrientationSection, table: OrientationTable, geoid: GeoidGrid | None
 ) -> tuple[OrientationTable, Notes]:
-    """The table with its positions in WGS 84, and the convergence of its grid; notes on these."""
+    """Convert the positions of a table to latitude, longitude [rad] and height [m] on WGS 84.
+
+    The table also gets the convergence of the grid at each position, and what heights count from.
+    Returned with notes on the conversion; unchanged without a coordinate system.
+    """
     if section.crs is None or section.heights is None:
         return table, ()
     if section.frame == "geographic":
@@ -164,18 +169,19 @@ def frame_of_block(
     section: OrientationSection,
     table: OrientationTable,
     *,
-    exposed: list[Stations],
+    event_stations: list[Stations],
     ledger: Ledger,
 ) -> CartesianFrame:
-    """The frame of the angles of a table, where it is not that of each station's vertical.
+    """The one cartesian frame of the positions and angles of a table.
 
-    The frame is the one that the mission file states; else the one that the block itself says. A
-    warning says so if the two differ. A frame that is stated to be unknown is fitted to known
-    positions of images: those of the mission file, else those of the log (``exposed``).
+    It is the frame that the mission file states, else that of the file; a warning if they differ. A
+    frame that is stated as unknown is fitted to known positions of images: those of the mission
+    file, else those of the log (``event_stations``). Only for tables with angles that are not
+    relative to the vertical of each station.
     """
-    named = section.frame
-    named_frame = named.enu.build() if isinstance(named, EnuFrame) else named
-    frame = named_frame or table.frame
+    stated = section.frame
+    stated_frame = stated.enu.build() if isinstance(stated, EnuFrame) else stated
+    frame = stated_frame or table.frame
     if frame is None:
         raise messages.frame_unstated(where=section.path)
     if frame == "ecef" and isinstance(table.frame, GeocentricDatum):
@@ -208,14 +214,14 @@ def frame_of_block(
         if section.heights == "msl":
             position[:, 2] += flight.heights.undulation(position[:, 0], position[:, 1])
     else:
-        image, position, sigma_m = positions_of_log(join_stations(exposed))
+        image, position, sigma_m = positions_of_log(join_stations(event_stations))
     return ledger.take(
         oriented_images.fitted_frame(table.image, table.position, image, position, sigma_m=sigma_m)
     )
 
 
 def frame_in_words(frame: object) -> str:
-    """A frame as a message names it."""
+    """A frame as a message names it: a name, or the origin of east, north, up."""
     if isinstance(frame, GeodeticOrigin):
         latitude = np.degrees(frame.lat_rad)
         longitude = np.degrees(frame.lon_rad)
@@ -232,27 +238,29 @@ def check_frame(
     stations: Stations,
     *,
     frame: CartesianFrame | None,
-    exposed: list[Stations],
+    event_stations: list[Stations],
     has_control: bool,
     has_tested_heights: bool,
 ) -> Notes:
-    """What all known positions of the images say of the frame of their orientations.
+    """Compare the stations with all known positions of their images, to test the frame.
 
-    ``stations`` are those of the rows of ``table``, whose images are called as in the block;
-    ``frame`` is that of its x, y, z. ``exposed`` are the stations of the log. With control points
-    the frame need not be tested here: they show a wrong one. ``has_tested_heights`` : tie points
-    show the heights above a given ground.
+    table : the orientations, with the names that the images have in the block.
+    stations : made of the rows of ``table``, with the names that the observations have.
+    frame : the frame of x, y, z in ``table``; None without x, y, z.
+    event_stations : the stations of the exposures by the log.
+    has_control : there are control points; they show a wrong frame, which needs no test here.
+    has_tested_heights : tie points test the heights above a given ground.
     """
     known_places = places_of_block(inputs, table, frame)
     files = inputs.image_times
     if files is not None and section.format != "dji":
         known_places.append(("positions in EXIF", positions_in_exif(files, stations.image)))
     if inputs.known_positions is not None and section.frame != "unknown":
-        given = inputs.known_positions
-        places = KnownPlaces("known_positions", given.image, given.position)
+        stated = inputs.known_positions
+        places = KnownPlaces("known_positions", stated.image, stated.position)
         known_places.append((places.source, places.rows_of(stations.image)))
-    if exposed:
-        image, position, _ = positions_of_log(join_stations(exposed))
+    if event_stations:
+        image, position, _ = positions_of_log(join_stations(event_stations))
         places = KnownPlaces("positions of the log at the exposures", image, position)
         known_places.append((places.source, places.rows_of(stations.image)))
     needs_test = section.frame not in ("geographic", "unknown") and not has_control
@@ -269,7 +277,11 @@ def check_frame(
 def places_of_block(
     inputs: OpenedInputs, table: OrientationTable, frame: CartesianFrame | None
 ) -> list[tuple[str, Array]]:
-    """Known positions (n, 3) of the images of a table by the files of its block, by source."""
+    """Positions of images in the files of a block, beside their orientations: source, positions.
+
+    Positions (n, 3) are latitude, longitude [rad] and height [m] of the images of ``table``, NaN if
+    unknown. Those in the frame of the block are left out if ``frame`` is None.
+    """
     known_places = []
     for places in inputs.block_places:
         position = places.rows_of(table.image)
@@ -282,7 +294,7 @@ def places_of_block(
 
 
 def positions_in_exif(files: ImageTimes, images: Names) -> Array:
-    """(n, 3) positions in the files of images, NaN where there is none."""
+    """(n, 3) latitude, longitude [rad] and height [m] in the files of images, NaN if none."""
     names = images.tolist()
     row_of_image = files.rows_of(names)
     position = np.full((images.size, 3), np.nan)
@@ -293,10 +305,15 @@ def positions_in_exif(files: ImageTimes, images: Names) -> Array:
 
 
 def positions_of_log(stations: Stations) -> tuple[Names, Array, float]:
-    """Images, their positions (m, 3) and the usual sigma of one axis [m] by the log."""
+    """Names of the m images with usable stations, their positions (m, 3), and a common sigma [m].
+
+    Positions are latitude, longitude [rad] and ellipsoidal height [m]. The sigma is the median of
+    the known ones, of one axis; 1.5 m if none is known.
+    """
     ok = stations.ok
     position = np.stack([stations.lat_rad, stations.lon_rad, stations.h_ellipsoid_m], axis=1)
-    sigma = np.hypot(stations.sigma_horizontal_m, stations.sigma_height_m)[ok] / np.sqrt(2)
-    sigma = sigma[np.isfinite(sigma)]
-    sigma_m = float(np.median(sigma)) if sigma.size else SIGMA_OF_LOG_M
-    return stations.image[ok], position[ok], sigma_m
+    # Root mean square of the horizontal and the vertical sigma.
+    sigmas_m = np.hypot(stations.sigma_horizontal_m, stations.sigma_height_m)[ok] / np.sqrt(2)
+    sigmas_m = sigmas_m[np.isfinite(sigmas_m)]
+    common_sigma_m = float(np.median(sigmas_m)) if sigmas_m.size else SIGMA_OF_LOG_M
+    return stations.image[ok], position[ok], common_sigma_m

@@ -20,9 +20,9 @@ class CameraImages:
     """The images of one camera, (k,).
 
     number : the number in each name.
-    numbering : what the number counts: ``index`` events, as the log numbers them; ``counted``
-        events from the first; ``sequence`` the images themselves.
-    file : the row of the file of each image, -1 without a file.
+    numbering : what the number counts: ``index``: events, as the log numbers them; ``counted``:
+        events from the first one on; ``sequence``: the images themselves.
+    file : the row of each image in the table of image files, -1 without a file.
     """
 
     name: Names
@@ -32,9 +32,10 @@ class CameraImages:
 
 
 class DescribedImage(NamedTuple):
-    """An image whose name a pattern describes: the row of its file, and the values of the fields.
+    """An image with a name that a pattern describes.
 
-    ``row`` is -1 for an image without a file.
+    row : the row of its file, -1 without a file.
+    values : the digits of each field of the pattern in the name, as ``{"index": "0042"}``.
     """
 
     name: str
@@ -46,8 +47,9 @@ class DescribedImage(NamedTuple):
 class NamePattern:
     """A pattern of names, such as ``IMG_{index:04d}.JPG``, as regular expressions.
 
-    ``whole`` fits names as the pattern writes them, ``stem`` those with any other ending, or none,
-    and in letters of either case; ``fields`` are those of the pattern in their order.
+    whole : matches names as the pattern writes them.
+    stem : also matches names with another ending or none, and ignores case.
+    fields : names of the fields of the pattern, in their order.
     """
 
     pattern: str
@@ -57,7 +59,7 @@ class NamePattern:
 
     @classmethod
     def of(cls, pattern: str) -> "NamePattern":
-        """The expressions of a pattern, in which ``*`` stands for anything."""
+        """The regular expressions of a pattern; ``*`` in it matches any text."""
         text = ""
         fields: list[str] = []
         for part in string.Formatter().parse(pattern):
@@ -66,7 +68,7 @@ class NamePattern:
             if field is None:
                 continue
             if field in fields:
-                text += r"\d+"  # a name cannot stand twice in an expression
+                text += r"\d+"  # an expression cannot have two groups of one name
             else:
                 text += rf"(?P<{field}>\d+)"
             fields.append(field)
@@ -80,10 +82,10 @@ class NamePattern:
         )
 
     def name_of(self, path: str, values: dict[str, str]) -> str:
-        """The name of an image that is not observed, by the path of its file.
+        """The name of an image without observations: the pattern with the value of its field.
 
-        The pattern with its one field filled in; the path itself, if the pattern has a ``*`` or
-        another number of fields, so that it does not give the name.
+        If the pattern has a ``*``, or not exactly one field, it does not give the name: then it is
+        the ``path`` of the file. ``values`` are the digits of each field.
         """
         if "*" in self.pattern or len(set(self.fields)) != 1:
             return path
@@ -94,10 +96,10 @@ class NamePattern:
 def images_of_camera(
     pattern: str, observed: tuple[str, ...], files: ImageTimes | None
 ) -> CameraImages:
-    """The images that a pattern describes, in the order of their names.
+    """The images with names that a pattern describes, in the order of their names.
 
-    They are images of the observations, and files of images in which nothing was measured. If the
-    pattern has no field for a number, the number is the `count_of_camera`.
+    They are ``observed`` images, and image files in which nothing was measured. If the pattern has
+    no field for a number, the numbers are those of `count_of_camera`.
     """
     name_pattern = NamePattern.of(pattern)
     images = described_images(name_pattern, observed, files)
@@ -115,10 +117,10 @@ def images_of_camera(
 def described_images(
     name_pattern: NamePattern, observed: tuple[str, ...], files: ImageTimes | None
 ) -> list[DescribedImage]:
-    """The images that a pattern describes: observed ones first, then files of no observed image.
+    """The images that a pattern describes: observed images first, then files without observations.
 
-    An observed image is described by its name, or by the path of its file in any case and ending; a
-    file by its path, or by the last part of that.
+    The pattern has to match the name of an observed image, or the path of its file (in any case,
+    with any ending). For other files it has to match the path, or its part after the last "/".
     """
     paths: list[str] = []
     row_of_image: Mapping[str, int] = {}
@@ -149,7 +151,7 @@ def described_images(
 
 
 def sorting_key(name: str) -> list[str]:
-    """Digits with leading zeros, so that names are sorted by their numbers.
+    """The parts of a name, digits with leading zeros, so that names are sorted by their numbers.
 
     >>> sorted(["a10", "a9"], key=sorting_key)
     ['a9', 'a10']
@@ -159,10 +161,11 @@ def sorting_key(name: str) -> list[str]:
 
 
 def count_of_camera(names: Names) -> Integers:
-    """(k,) the camera's count in sorted names: of their groups of digits the one that differs most.
+    """(k,) the camera's count in sorted names: the group of digits with most different values.
 
-    Of groups that differ equally often it is the last one. If that group does not rise from name to
-    name, or names have different numbers of groups or none, the names are numbered from 0.
+    Of groups with equally many values it is the last one in the name. The names are numbered from 0
+    if that group does not rise from name to name, if names have different numbers of groups, or if
+    they have none.
     """
     from_zero = np.arange(names.size, dtype=np.int64)
     groups = [re.findall(r"\d{1,15}", name) for name in names]

@@ -27,29 +27,29 @@ from unbend.units import Array, Integers, Mask
 
 BATCH_ROWS = 250_000
 METRES_OF_A_FOOT = 0.3048
-# Control is misread or wrong as a whole if it is farther than each of these three from where its
-# rays meet.
+# Control is misread or wrong as a whole if its median distance from where its rays meet is larger
+# than each of these three.
 FAR_M = 1.0
 FAR_SIGMAS = 5.0  # of that distance
 FAR_EFFECTS = 3.0  # times as far as the correction moves the points
-BETTER = 0.2  # another reading is likely if it leaves less than this part of the distance
+LIKELY_SHARE = 0.2  # of that distance: another reading is likely if it leaves less
 OUTLIER_SIGMAS = 5.0  # beyond them a point is an outlier among the others
-FEWEST = 5  # points: among fewer none is called an outlier
-WORSE = 0.25  # of the squared effect of the correction: so much the squared misses may grow by it
+FEWEST_WITH_OUTLIERS = 5  # points: among fewer no outliers are looked for
+ALLOWED_GROWTH = 0.25  # of squared residuals by the correction, in squares of its effect
 NORMAL_OF_MEDIAN = 1.4826  # standard deviation over median absolute deviation
 MOST_LISTED = 5  # outliers that a finding names
 
 
 @dataclass(frozen=True, eq=False)
 class ControlComparison:
-    """Control points (p,) against the places where their rays meet.
+    """Control points (p,) compared with the places where their rays meet.
 
     rays : (p,) how many rays each point has.
     before, after : (p, 3) place where the rays meet minus place of the control, to the east, north
-        and up [m]: of the rays as measured and as corrected; NaN where they do not meet.
-    sigma_m : (p,) standard deviation of the intersected height, by those of stations and pixels.
-    sigma_stated : whether the standard deviations of any station are known, not assumed.
-    unmeasured : how many control points are in no image.
+        and up [m]: by the rays as measured and as corrected; NaN where they do not meet.
+    sigma_m : (p,) standard deviation of the intersected height, by the sigmas of stations, pixels.
+    sigma_stated : whether the sigmas of any station are known, not assumed.
+    unmeasured : how many control points of the table are in no image.
     """
 
     name: tuple[str, ...]
@@ -70,13 +70,16 @@ class ControlComparison:
         return np.asarray(np.sqrt(np.mean(values[self.used] ** 2, axis=0)))
 
     def part_explained(self) -> float:
-        """The part of the mean square distance to the control that the correction removes."""
+        """The share of the mean square distance to the control that the correction removes.
+
+        Negative if the distance grows.
+        """
         before_m2 = float(np.sum(self.rms(self.before) ** 2))
         after_m2 = float(np.sum(self.rms(self.after) ** 2))
         return 1.0 - after_m2 / before_m2
 
     def record(self) -> ControlRecord:
-        """The record for the manifest, to tenths of a millimetre; sigmas only if stated."""
+        """The record for the manifest, in 0.1 mm; sigmas are None if they are not stated."""
         sigma_m = self.sigma_m
         if not self.sigma_stated:
             sigma_m = np.full(sigma_m.size, np.nan)
@@ -107,12 +110,12 @@ class ControlComparison:
 
 
 def rounded_known(metres: Array) -> list[float]:
-    """Numbers, none of which is NaN, to four digits behind the point."""
+    """Lengths [m] rounded to 0.1 mm; for lengths without NaN."""
     return [round(value, 4) for value in metres.tolist()]
 
 
 def rounded(metres: Array) -> list[float | None]:
-    """Numbers to four digits behind the point, None for NaN."""
+    """Lengths [m] rounded to 0.1 mm, None for NaN."""
     numbers = []
     for value in metres.tolist():
         numbers.append(None if np.isnan(value) else round(value, 4))
@@ -123,8 +126,9 @@ def rounded(metres: Array) -> list[float | None]:
 class ControlRays:
     """Rays of control points, (n,) each.
 
-    point, station : rows of the control table and of the stations; a station of -1 is none.
-    before, after : (n, 3) directions in the camera as measured and as corrected.
+    point : row of the control table.
+    station : row of the stations, -1 without a station.
+    before, after : (n, 3) directions in the camera, as measured and as corrected.
     """
 
     point: Integers
@@ -135,13 +139,13 @@ class ControlRays:
 
     @classmethod
     def joined(cls, parts: list["ControlRays"]) -> "ControlRays":
-        """The rays of all parts, one part after the other."""
+        """The rays of all ``parts``, in their order."""
         columns = []
         for field in fields(cls):
             columns.append(np.concatenate([getattr(part, field.name) for part in parts]))
         return cls(*columns)
 
-    def known(self) -> "ControlRays":
+    def usable(self) -> "ControlRays":
         """The rays that have a station and both directions."""
         has_directions = np.isfinite(self.before).all(axis=1) & np.isfinite(self.after).all(axis=1)
         rows = np.isfinite(self.sigma_rad) & has_directions & (self.station >= 0)
@@ -164,8 +168,9 @@ def compare_control(
 ) -> ControlComparison | None:
     """Compare control points with where their rays meet, before and after the correction.
 
-    None for a mission without control. Refuses (CONTROL-MISSING) a table none of whose points is
-    observed; a loss (CONTROL-RAYS), and None, if no rays meet.
+    None for a mission without control. Refuses (CONTROL-MISSING) a table if none of its points is
+    observed; a loss (CONTROL-RAYS), and None, if no rays meet. ``ledger`` gets what the comparison
+    shows (`judge_control`).
     """
     section = mission.control
     if section is None or inputs.control is None:
@@ -180,15 +185,15 @@ def compare_control(
         ledger=ledger,
     )
     all_rays = rays_of_control(inputs.observations, points, setup)
-    # By all rays: a point whose rays are of no use is measured all the same.
+    # By all rays, because a point without usable rays counts as measured too.
     control = MeasuredControl.of(points, np.unique(all_rays.point), stations, heights)
-    rays = all_rays.known()
+    rays = all_rays.usable()
     point_number = np.searchsorted(control.row, rays.point)
     orientations = orientations_of_mission(mission, stations)
     meeting = meeting_points(rays, point_number, control.row.size, orientations)
 
     axes = enu_from_ecef(control.latitude_rad, control.longitude_rad)
-    places = np.stack([meeting.before, meeting.after])  # (2, p, 3)
+    places = np.stack([meeting.before, meeting.after])  # (2, p, 3), earth-centred
     before, after = np.einsum("pij,kpj->kpi", axes, places - control.place())
     comparison = ControlComparison(
         name=tuple(points.name.take(pa.array(control.row)).to_pylist()),
@@ -203,22 +208,23 @@ def compare_control(
         ledger.add(messages.control_without_rays(where="control", count=control.row.size))
         return None
     readings = control.other_readings(section.reference, heights.home_h_msl_m)
-    off_m = distances_of(readings, meeting.after, comparison.used)
-    judge_control(comparison, off_m, ledger)
+    distance_by_reading = median_distances(readings, meeting.after, comparison.used)
+    judge_control(comparison, distance_by_reading, ledger)
     return comparison
 
 
 def has_any_sigmas(stations: Stations, row: Integers) -> bool:
-    """Whether the sigmas of height and of tilt are known of any of some stations, by rows."""
+    """Whether the sigmas of height and tilt are known for at least one station in ``row`` (n,)."""
     is_known = np.isfinite(stations.sigma_height_m) & np.isfinite(stations.sigma_tilt_rad)
     return bool(is_known[row].any())
 
 
-def distances_of(readings: Mapping[str, Array], meeting: Array, used: Mask) -> dict[str, float]:
+def median_distances(readings: Mapping[str, Array], meeting: Array, used: Mask) -> dict[str, float]:
     """Median distance [m] from where rays meet to the control, for each reading of the control.
 
-    ``meeting`` (p, 3) and the places of the ``readings`` are earth-centred; ``used`` (p,) says
-    which points count.
+    readings : (p, 3) earth-centred places of the control, by the reading in words.
+    meeting : (p, 3) earth-centred places where the rays meet.
+    used : (p,) which points count.
     """
     distances = {}
     for words, place in readings.items():
@@ -229,10 +235,12 @@ def distances_of(readings: Mapping[str, Array], meeting: Array, used: Mask) -> d
 
 @dataclass(frozen=True, eq=False)
 class MeasuredControl:
-    """Control points that are observed, (p,): rows of their table, places, undulation [m].
+    """Control points that are observed, (p,).
 
-    ``h_m`` counts from the same zero as the heights of the stations in intersections: from the
-    ellipsoid if these are known above it, else from sea level.
+    row : their rows in the control table.
+    h_m : height from the same zero as the heights of the stations in intersections: the ellipsoid
+        if these are known above it, else sea level.
+    undulation_m : of the geoid at the point.
     """
 
     row: Integers
@@ -245,7 +253,7 @@ class MeasuredControl:
     def of(
         cls, points: ObjectPoints, row: Integers, stations: Stations, heights: HeightSystem
     ) -> "MeasuredControl":
-        """The points in some rows of a table, whose heights are above sea level."""
+        """The points in the rows ``row`` (p,) of ``points``, which has heights above sea level."""
         latitude = points.lat_rad[row]
         longitude = points.lon_rad[row]
         undulation = heights.undulation(latitude, longitude)
@@ -254,20 +262,20 @@ class MeasuredControl:
         return cls(row, latitude, longitude, h_m, undulation)
 
     def place(self, h_m: Array | None = None) -> Array:
-        """(p, 3) earth-centred places [m]; ``h_m`` takes the place of the points' heights."""
+        """(p, 3) earth-centred places [m]; with other heights ``h_m`` (p,), if these are given."""
         height = self.h_m if h_m is None else h_m
         return ecef_of_geodetic(self.latitude_rad, self.longitude_rad, height)
 
     def other_readings(self, reference: str, home_h_msl_m: float | None) -> dict[str, Array]:
-        """(p, 3) where the points are if the table was misread, for each mistake in words.
+        """(p, 3) earth-centred places of the points if the table was misread, by mistake in words.
 
-        ``reference`` is what the mission file says that the heights count from. The reading by the
-        height of the take-off is NaN if this height is unknown, or 0, which misreads nothing.
+        ``reference`` is the zero of heights that the mission file states. The places by the height
+        of the take-off ``home_h_msl_m`` are NaN if that is None, or 0, which changes nothing.
         """
         h_m = self.h_m
         undulation_m = self.undulation_m
         home_m = home_h_msl_m or np.nan
-        # The numbers of the table. If they are feet, 0.3048 of each is right and the rest too high.
+        # Numbers of the table. If they are feet, 0.3048 of each is right and 0.6952 are too much.
         stated_m = h_m if reference == "ellipsoid" else h_m - undulation_m
         too_high_in_feet_m = (1.0 - METRES_OF_A_FOOT) * stated_m
         below = self.place(h_m - undulation_m)
@@ -287,11 +295,11 @@ class MeasuredControl:
 def rays_of_control(
     observations: Observations, points: ObjectPoints, setup: CorrectionSetup
 ) -> ControlRays:
-    """The rays of all observations of control points, measured and corrected.
+    """The rays of all observations of control points, as measured and as corrected.
 
-    Refuses (CONTROL-MISSING) control of which no point is observed.
+    Refuses (CONTROL-MISSING) control ``points`` if none is observed.
     """
-    # Of the corrections only the rays are wanted, no standard deviations.
+    # Corrections without standard deviations, which are not needed here.
     setup = replace(setup, uncertainties=(None,) * len(setup.rays))
     images = pa.array(setup.images, pa.string())
     parts = []
@@ -310,7 +318,10 @@ def rays_of_control(
 def rays_of_batch(
     batch: Batch, points: ObjectPoints, images: pa.StringArray, setup: CorrectionSetup
 ) -> ControlRays:
-    """The rays of a batch of observations of control points."""
+    """The rays of a batch of observations of control points, as measured and as corrected.
+
+    ``images`` are the names of the images of the stations, in the order of the stations.
+    """
     station = matching_rows(batch.image, images)
     corrected = correct_batch(batch, station, setup.ground.heights(batch, station, setup), setup)
     before, sigma_rad = setup.directions(batch.x_px, batch.y_px, station)
@@ -334,17 +345,17 @@ class MeetingPoints(NamedTuple):
 def meeting_points(
     rays: ControlRays, point_number: Integers, count: int, orientations: Orientations
 ) -> MeetingPoints:
-    """Where rays meet as measured and as corrected.
+    """Where the rays of ``count`` points meet, as measured and as corrected.
 
-    ``point_number`` (n,) is the number of each ray's point, of ``count`` points. A point with too
-    few rays, or rays that are nearly parallel, is NaN. The place of any other is the one nearest to
-    its rays, even if they miss each other by far.
+    ``point_number`` (n,) is the point of each ray, from 0. A point with too few rays, or with rays
+    that are nearly parallel, is NaN. The place of any other point is the one nearest to its rays,
+    even if these miss each other by far.
     """
     points = np.unique(point_number)
     sigma_m = np.full(count, np.nan)
     places = []
     for direction in (rays.before, rays.after):
-        # The second pass is by the corrected rays: its sigmas replace those of the first.
+        # The second pass, by the corrected rays, replaces the sigmas of the first.
         image_rays = ImageRays(rays.station, point_number, direction, rays.sigma_rad)
         by_point = sorted_rays(orientations, image_rays)
         nearest = by_point.positions(by_point.oriented) + by_point.origin
@@ -359,28 +370,29 @@ def meeting_points(
 
 
 def judge_control(
-    comparison: ControlComparison, off_m: Mapping[str, float], ledger: Ledger
+    comparison: ControlComparison, distance_by_reading: Mapping[str, float], ledger: Ledger
 ) -> None:
-    """Add what control points say against themselves, the stations or the correction.
+    """Add to the ledger what control points show to be wrong.
 
-    Control that is far from where its corrected rays meet, in the median, gets that one finding.
-    Otherwise single outliers are looked for, and whether the correction brings the points nearer.
-    ``off_m`` is the median distance [m] from where the corrected rays meet to the control, for each
-    other reading of the control.
+    * One finding if the control is far from where its corrected rays meet, in the median.
+    * Else a finding of outliers, and of a correction that takes rays away from the control.
+
+    ``distance_by_reading`` is the median distance [m] from where the corrected rays meet to the
+    control, for each other reading of the control.
     """
     used = comparison.used
     after = comparison.after[used]
-    misses_m = float(np.median(np.linalg.norm(after, axis=1)))
+    median_miss_m = float(np.median(np.linalg.norm(after, axis=1)))
     effect_m = length(comparison.rms(comparison.before - comparison.after))
     sigmas_m = comparison.sigma_m[used]
     sigmas_m = sigmas_m[np.isfinite(sigmas_m)]
     sigma_m = float(np.median(sigmas_m)) if sigmas_m.size else 0.0
-    if misses_m > max(FAR_M, FAR_SIGMAS * sigma_m, FAR_EFFECTS * effect_m):
-        ledger.add(far_control(int(used.sum()), misses_m, sigma_m, off_m))
+    if median_miss_m > max(FAR_M, FAR_SIGMAS * sigma_m, FAR_EFFECTS * effect_m):
+        ledger.add(far_control(int(used.sum()), median_miss_m, sigma_m, distance_by_reading))
         return
-    apart_m = np.linalg.norm(after - np.median(after, axis=0), axis=1)
-    scatter_m = NORMAL_OF_MEDIAN * float(np.median(apart_m))
-    report_outliers(comparison, apart_m, scatter_m, sigma_m, ledger)
+    deviation_m = np.linalg.norm(after - np.median(after, axis=0), axis=1)
+    scatter_m = NORMAL_OF_MEDIAN * float(np.median(deviation_m))
+    report_outliers(comparison, deviation_m, scatter_m, sigma_m, ledger)
     report_effect(comparison, scatter_m, sigma_m, effect_m, ledger)
 
 
@@ -389,45 +401,52 @@ def length(vector: Array) -> float:
     return float(np.linalg.norm(vector))
 
 
-def far_control(count: int, misses_m: float, sigma_m: float, off_m: Mapping[str, float]) -> Message:
-    """The finding of control that is far from where its rays meet.
+def far_control(
+    count: int, median_miss_m: float, sigma_m: float, distance_by_reading: Mapping[str, float]
+) -> Message:
+    """The finding of control that is ``median_miss_m`` from where its rays meet, which is far.
 
-    It names the reading of the control in ``off_m`` that is nearest to where the rays meet, if that
-    leaves less than a fifth of the median distance ``misses_m``; else the cause is unknown.
+    It names the reading of the control with the smallest median distance [m], if that is less than
+    a fifth of ``median_miss_m``; else the cause is unknown. ``sigma_m`` is the part that the sigmas
+    of the stations explain.
     """
-    likely = min(off_m, key=lambda reading: np.nan_to_num(off_m[reading], nan=np.inf))
-    if off_m[likely] < BETTER * misses_m:
+    likely = min(
+        distance_by_reading,
+        key=lambda reading: np.nan_to_num(distance_by_reading[reading], nan=np.inf),
+    )
+    distance_m = distance_by_reading[likely]
+    if distance_m < LIKELY_SHARE * median_miss_m:
         return messages.control_reading(
-            where="control", count=count, stated=misses_m, off=off_m[likely], likely=likely
+            where="control", count=count, stated=median_miss_m, off=distance_m, likely=likely
         )
-    return messages.control_far(where="control", count=count, stated=misses_m, sigma=sigma_m)
+    return messages.control_far(where="control", count=count, stated=median_miss_m, sigma=sigma_m)
 
 
 def report_outliers(
     comparison: ControlComparison,
-    apart_m: Array,
+    deviation_m: Array,
     scatter_m: float,
     sigma_m: float,
     ledger: Ledger,
 ) -> None:
-    """Add a finding of control points whose misses differ from the median miss by far.
+    """Add a finding of control points with residuals far from the median residual.
 
-    ``apart_m`` is by how much those of each used point differ, ``scatter_m`` the usual amount;
-    ``sigma_m`` is what the sigmas of stations and pixels let points miss. With fewer than five
-    points none is called an outlier.
+    ``deviation_m`` is the distance of each used point's residual from the median residual,
+    ``scatter_m`` its usual amount by these points, ``sigma_m`` by the sigmas of stations and
+    pixels. No outliers are looked for among fewer than five points.
     """
     expected_m = max(scatter_m, sigma_m if comparison.sigma_stated else 0.0)
-    is_outlier = apart_m > OUTLIER_SIGMAS * expected_m
-    if apart_m.size < FEWEST or not bool(is_outlier.any()):
+    is_outlier = deviation_m > OUTLIER_SIGMAS * expected_m
+    if deviation_m.size < FEWEST_WITH_OUTLIERS or not bool(is_outlier.any()):
         return
     names = np.array(comparison.name)[comparison.used][is_outlier]
     ledger.add(
         messages.control_outlier(
             where="control",
             count=names.size,
-            total=apart_m.size,
-            most=float(apart_m.max()),
-            median=float(np.median(apart_m)),
+            total=deviation_m.size,
+            most=float(deviation_m.max()),
+            median=float(np.median(deviation_m)),
             names=", ".join(names[:MOST_LISTED]),
         )
     )
@@ -440,15 +459,15 @@ def report_effect(
     effect_m: float,
     ledger: Ledger,
 ) -> None:
-    """Add a note if control points are too noisy to show the effect of the correction.
+    """Add a warning if control points are too noisy to show the effect of the correction.
 
-    Otherwise add a finding if they miss by clearly more after the correction than before.
-    ``effect_m`` is how far the correction moves points. The noise is ``sigma_m``, what the sigmas
-    of stations and pixels let points miss, if those are stated; else the scatter of the points.
+    Otherwise add a finding if their residuals are clearly larger after the correction than before.
+    ``effect_m`` is how far the correction moves points (rms). The noise is ``sigma_m``, by the
+    sigmas of stations and pixels, if these are stated; else ``scatter_m``, that of the points.
     """
     count = int(comparison.used.sum())
-    was_m = length(comparison.rms(comparison.before))
-    now_m = length(comparison.rms(comparison.after))
+    before_m = length(comparison.rms(comparison.before))
+    after_m = length(comparison.rms(comparison.after))
     noise_m = scatter_m
     source = "the control points scatter"
     if comparison.sigma_stated:
@@ -460,5 +479,5 @@ def report_effect(
                 where="control", count=count, of=source, noise=noise_m, effect=effect_m
             )
         )
-    elif now_m**2 - was_m**2 > WORSE * effect_m**2:
-        ledger.add(messages.control_worse(where="control", count=count, was=was_m, now=now_m))
+    elif after_m**2 - before_m**2 > ALLOWED_GROWTH * effect_m**2:
+        ledger.add(messages.control_worse(where="control", count=count, was=before_m, now=after_m))

@@ -10,14 +10,19 @@ import numpy as np
 
 from unbend.block.alignment import LOG_RATIO_NEEDED
 from unbend.block.assignment import Assignment, assign
-from unbend.block.image_evidence import CameraEvents, ImageEvidence
+from unbend.block.image_evidence import ImageEvidence
 from unbend.config import Mission
 from unbend.config.event_sources import EventsSection, FirstImage
 from unbend.flight.exposures import Events, refuse_repeated_images
 from unbend.flight.image_names import name_series
-from unbend.flight.stations import NO_TIME, Stations
+from unbend.flight.stations import Stations
 from unbend.messages import Ledger, Message, Notes
 from unbend.stages.multi_image import messages
+from unbend.stages.multi_image.assignment_evidence import (
+    anchor_rows,
+    camera_events,
+    evidence_of_images,
+)
 from unbend.stages.multi_image.assignment_holes import hole_between
 from unbend.stages.multi_image.assignment_likelihoods import (
     TIES,
@@ -28,7 +33,7 @@ from unbend.stages.multi_image.assignment_likelihoods import (
     tie_likelihood,
 )
 from unbend.stages.multi_image.camera_images import CameraImages, images_of_camera
-from unbend.stages.multi_image.image_numbers import counting_of, events_by_name
+from unbend.stages.multi_image.image_numbers import claimed_events, counting_of
 from unbend.tables.imports.exif import ImageTimes
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints
@@ -36,29 +41,32 @@ from unbend.units import Integers, Mask
 
 SECONDS_PER_HOUR = 3600.0
 LARGEST_CLOCK_ERROR_S = 86_400.0  # beyond a day the images are hardly of this flight
-FEW_CONTRADICTED = 0.02  # share of the numbers in names that evidence may contradict
+FEW_CONTRADICTED = 0.02  # share of the images: if evidence contradicts more numbers, it is judged
 MOST_LISTED_IMAGES = 3
 MOST_LISTED_EVENTS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class AssignedEvents:
-    """The events that have an image, under its name, and their rows among all events."""
+    """The events of a camera that have an image, under its name.
+
+    rows : their rows among all events of the camera.
+    """
 
     events: Events
     rows: Integers
 
     @classmethod
-    def of(cls, exposed: Events, rows: Integers) -> AssignedEvents:
-        """Some rows of the events of a camera, under the names that they have."""
-        return cls(Events(exposed.camera, exposed.image[rows], exposed.time_ns[rows]), rows)
+    def of(cls, events: Events, rows: Integers) -> AssignedEvents:
+        """The events in some ``rows`` of all events, under the names that the log gives them."""
+        return cls(Events(events.camera, events.image[rows], events.time_ns[rows]), rows)
 
 
 def assigned_stations(
     mission: Mission,
     section: EventsSection,
-    events: list[Events],
-    stations: list[Stations],
+    events_of_cameras: list[Events],
+    stations_of_cameras: list[Stations],
     *,
     files: ImageTimes | None,
     observations: Observations,
@@ -67,41 +75,44 @@ def assigned_stations(
 ) -> list[Stations]:
     """The stations of the events that have an image, camera by camera, under the image's name.
 
-    ``stations`` are those of all ``events``, camera by camera. Events of a table, and of a file
-    that names its images, keep the names that they have.
+    ``stations_of_cameras`` are those of all events, in the same order. Events of a table, and of a
+    file that names its images, keep their names.
     """
     if section.csv is not None:
-        return stations
+        return stations_of_cameras
     if section.images is not None and files is not None:
         report_absent(files, observations.images, section.images.path, ledger)
     stations_with_image = []
     events_with_image = []
-    for exposed, event_stations in zip(events, stations, strict=True):
-        pattern = section.patterns[exposed.camera]
+    for events, stations in zip(events_of_cameras, stations_of_cameras, strict=True):
+        pattern = section.patterns[events.camera]
         if pattern == "{name}":
-            stations_with_image.append(event_stations)
-            events_with_image.append(exposed)
+            stations_with_image.append(stations)
+            events_with_image.append(events)
             continue
         images = images_of_camera(pattern, observations.images, files)
-        camera = mission.interior_orientations[exposed.camera]
+        camera = mission.interior_orientations[events.camera]
         likelihoods: dict[str, Likelihood] = {}
-        by_ties = tie_likelihood(ties, images, camera, event_stations)
+        by_ties = tie_likelihood(ties, images, camera, stations)
         if by_ties is not None:
             likelihoods[TIES] = by_ties
-        by_positions = position_likelihood(images, files, event_stations)
+        by_positions = position_likelihood(images, files, stations)
         if by_positions is not None:
             likelihoods["positions"] = by_positions
-        anchor = section.stated_first_image(exposed.camera)
-        assigned = ledger.take(assigned_events(exposed, images, files, anchor, likelihoods))
-        named = replace(event_stations.rows(assigned.rows), image=assigned.events.image)
-        stations_with_image.append(named)
+        anchor = section.stated_first_image(events.camera)
+        assigned = ledger.take(assigned_events(events, images, files, anchor, likelihoods))
+        named_stations = replace(stations.rows(assigned.rows), image=assigned.events.image)
+        stations_with_image.append(named_stations)
         events_with_image.append(assigned.events)
     refuse_repeated_images(events_with_image)
     return stations_with_image
 
 
 def report_absent(files: ImageTimes, observed: tuple[str, ...], where: str, ledger: Ledger) -> None:
-    """A loss of observed images that are not among the files; refuses (IMAGES-OTHER) if all are."""
+    """Add a loss of observed images that are not among the files.
+
+    Refuses (IMAGES-OTHER) files of which no image is observed. ``where`` is their path.
+    """
     absent = sorted(set(observed) - set(files.rows_of(observed)))
     if len(absent) == len(observed):
         raise messages.images_of_another_flight(
@@ -112,71 +123,79 @@ def report_absent(files: ImageTimes, observed: tuple[str, ...], where: str, ledg
 
 
 def assigned_events(
-    exposed: Events,
+    events: Events,
     images: CameraImages,
     files: ImageTimes | None,
     anchor: FirstImage | None,
     likelihoods: Mapping[str, Likelihood],
 ) -> tuple[AssignedEvents, Notes]:
-    """The events of a camera that have an image, and notes on how they were found.
+    """The events of a camera that have an image, and notes on how they were assigned.
 
-    With the log's own numbers in the names of images, these decide:
+    If the names of images have the log's own numbers, these decide. Where the likeliest event of an
+    image is not that of its number:
 
-    * an image whose likeliest event is another one than its number says has no event (undecided),
-      if these are 2 % of the images at most;
-    * if these are more, and tie points, times or positions contradict the numbers by a factor of
+    * these images have no event (undecided), if they are 2 % of the images at most;
+    * if they are more, and tie points, times or positions contradict the numbers by a factor of
       1000, the mission is refused (EVENTS-CONTRADICTED);
-    * if these are more, but the evidence against the numbers is weaker, all numbers hold.
+    * if they are more, but the evidence against the numbers is weaker, all numbers hold.
 
     Without such numbers the likelihood decides. The mission is refused (EVENTS-AMBIGUOUS) if the
     next best assignment is not 1000 times less likely, or a part of the images may be shifted.
+    ``anchor`` is a pair of image and event that the mission file states.
     """
-    all_rows = np.arange(exposed.time_ns.size, dtype=np.int64)
-    has_names = bool((exposed.image != "").all())
+    all_rows = np.arange(events.time_ns.size, dtype=np.int64)
+    has_names = bool((events.image != "").all())
     if images.name.size == 0 or all_rows.size == 0:
         rows_with_names = all_rows if has_names else all_rows[:0]
-        return AssignedEvents.of(exposed, rows_with_names), ()
+        return AssignedEvents.of(events, rows_with_names), ()
 
-    counting = counting_of(exposed, images, has_names=has_names)
+    counting = counting_of(events, images, has_names=has_names)
     if counting.images.numbering == "index" and not counting.by_index:
-        # The numbers begin anew, but the names of the events do not repeat.
-        return AssignedEvents(exposed, all_rows), ()
-    by_name = events_by_name(exposed, counting.images, by_index=counting.needs_index)
-    evidence = evidence_of_images(exposed, counting.images, files)
-    assignment = likeliest_assignment(exposed, counting.images, evidence, anchor, likelihoods)
+        # The log has no rising numbers (`Events.index` is None), but its names do not repeat.
+        return AssignedEvents(events, all_rows), ()
+    claimed_event = claimed_events(events, counting.images, by_index=counting.needs_index)
+    evidence = evidence_of_images(events, counting.images, files)
+    assignment = likeliest_assignment(events, counting.images, evidence, anchor, likelihoods)
     ties = likelihoods.get(TIES)
     if isinstance(ties, TieLikelihood) and not ties.fits(assignment.event):
         # No assignment lets the rays meet: mounts, cameras or times are wrong, not the events.
         without_ties = dict(likelihoods)
         del without_ties[TIES]
-        return assigned_events(exposed, images, files, anchor, without_ties)
+        return assigned_events(events, images, files, anchor, without_ties)
     if counting.by_index:
         decision = decided_by_numbers(
             assignment,
-            by_name,
-            exposed,
+            claimed_event,
+            events,
             images=counting.images,
             evidence=evidence,
             likelihoods=likelihoods,
         )
     else:
-        refuse_ambiguity(assignment, assignment.reason, counting.images, exposed)
+        refuse_ambiguity(assignment, assignment.reason, counting.images, events)
         decision = Decision(assignment, assignment.event, assignment.ambiguous)
-    if exposed.counts == "maybe" or not counting.by_index:
-        refuse_hole(decision.assignment, counting.images, exposed, likelihoods)
-    notes = notes_of_assignment(*decision, counting.images, exposed)
+    if events.counts == "maybe" or not counting.by_index:
+        refuse_hole(decision.assignment, counting.images, events, likelihoods)
+    notes = notes_of_assignment(
+        decision.assignment, decision.event, decision.undecided, counting.images, events
+    )
     notes += notes_of_clock(decision.assignment, evidence)
-    if counting.has_names and np.array_equal(decision.event, by_name):
-        return AssignedEvents(exposed, all_rows), tuple(notes)
-    assigned = named_events(exposed, counting.images, decision.event)
+    if counting.has_names and np.array_equal(decision.event, claimed_event):
+        return AssignedEvents(events, all_rows), tuple(notes)
+    assigned = named_events(events, counting.images, decision.event)
     unused = np.setdiff1d(all_rows, assigned.rows)
     if unused.size:
-        notes.append(note_of_unused(unused, exposed))
+        notes.append(note_of_unused(unused, events))
     return assigned, tuple(notes)
 
 
 class Decision(NamedTuple):
-    """The assignment that holds, (k,) the event of each image, and (k,) which are undecided."""
+    """Which event each image has.
+
+    assignment : the assignment that holds, with its evidence.
+    event : (k,) row of the event of each image, -1 for none; undecided images have none.
+    undecided : (k,) images for which evidence and names give different events.
+    """
 
     assignment: Assignment
     event: Integers
@@ -185,28 +204,32 @@ class Decision(NamedTuple):
 
 def decided_by_numbers(
     assignment: Assignment,
-    by_name: Integers,
-    exposed: Events,
+    claimed_event: Integers,
+    events: Events,
     *,
     images: CameraImages,
     evidence: ImageEvidence,
     likelihoods: Mapping[str, Likelihood],
 ) -> Decision:
-    """The events ``by_name`` of images, of which few may be undecided by other evidence."""
-    undecided = (assignment.event >= 0) & (assignment.event != by_name)
+    """The events that images claim by the log's numbers, unless other evidence contradicts.
+
+    ``assignment`` is the likeliest by other evidence, ``claimed_event`` (k,) the row of the event
+    by the number of each image. Up to 2 % of the images may differ: they are undecided.
+    """
+    undecided = (assignment.event >= 0) & (assignment.event != claimed_event)
     if float(undecided.mean()) > FEW_CONTRADICTED:
         refuse_contradiction(
-            assignment, by_name, images, exposed, evidence, likelihoods=likelihoods
+            assignment, claimed_event, images, events, evidence, likelihoods=likelihoods
         )
-        # Not refused: what is likelier by less than the limit does not count.
-        assignment = stated_assignment(assignment, by_name)
-        undecided = np.zeros(by_name.shape, np.bool_)
-    event = np.where(undecided, -1, by_name)
+        # Not refused: evidence that is weaker than the limit does not count, and all numbers hold.
+        assignment = stated_assignment(assignment, claimed_event)
+        undecided = np.zeros(claimed_event.shape, np.bool_)
+    event = np.where(undecided, -1, claimed_event)
     return Decision(assignment, event, undecided)
 
 
 def notes_of_clock(assignment: Assignment, evidence: ImageEvidence) -> Notes:
-    """A note on the clock of a camera that is far off, if the images have times."""
+    """A warning if the clock of the camera is wrong by more than a day; () without image times."""
     if evidence.time_s is None or abs(assignment.offset_s) <= LARGEST_CLOCK_ERROR_S:
         return ()
     hours = assignment.offset_s / SECONDS_PER_HOUR
@@ -214,7 +237,7 @@ def notes_of_clock(assignment: Assignment, evidence: ImageEvidence) -> Notes:
 
 
 def likeliest_assignment(
-    exposed: Events,
+    events: Events,
     images: CameraImages,
     evidence: ImageEvidence,
     anchor: FirstImage | None,
@@ -222,121 +245,120 @@ def likeliest_assignment(
 ) -> Assignment:
     """The assignment of events to images that all evidence makes most likely.
 
-    In the evidence that the assignment lists, the names of the ``likelihoods`` stand for the "tie
-    points" of `assign`.
+    Its list of evidence has the names of the ``likelihoods``.
     """
     ties = likelihoods.get(TIES)
     assignment = assign(
-        camera_events(exposed),
+        camera_events(events),
         evidence,
-        first_image=anchor_rows(anchor, images, exposed),
+        first_image=anchor_rows(anchor, images, events),
         tie_points=joint_likelihood(likelihoods.values()) if likelihoods else None,
         share_met=ties.share_met if isinstance(ties, TieLikelihood) else None,
     )
-    # `assign` calls every joint likelihood "tie points", whatever it is made of.
+    # `assign` lists the joint likelihood as "tie points", whatever it is made of.
     names = " and ".join(likelihoods)
-    listed = tuple(names if name == TIES else name for name in assignment.evidence)
-    return replace(assignment, evidence=listed)
+    evidence_names = tuple(names if name == TIES else name for name in assignment.evidence)
+    return replace(assignment, evidence=evidence_names)
 
 
-def named_events(exposed: Events, images: CameraImages, event: Integers) -> AssignedEvents:
-    """The events of an assignment (k,) in their order, under the names of their images."""
-    has_event = np.flatnonzero(event >= 0)
-    image_rows = has_event[np.argsort(event[has_event], kind="stable")]
+def named_events(events: Events, images: CameraImages, event: Integers) -> AssignedEvents:
+    """The events that have an image, in the order of the log, under the names of their images.
+
+    ``event`` (k,) is the row of the event of each image, -1 for none.
+    """
+    assigned_images = np.flatnonzero(event >= 0)
+    image_rows = assigned_images[np.argsort(event[assigned_images], kind="stable")]
     rows = event[image_rows]
     return AssignedEvents(
-        Events(exposed.camera, images.name[image_rows], exposed.time_ns[rows]), rows
+        Events(events.camera, images.name[image_rows], events.time_ns[rows]), rows
     )
 
 
 def refuse_contradiction(
     assignment: Assignment,
-    by_name: Integers,
+    claimed_event: Integers,
     images: CameraImages,
-    exposed: Events,
+    events: Events,
     evidence: ImageEvidence,
     *,
     likelihoods: Mapping[str, Likelihood],
 ) -> None:
-    """Refuse (EVENTS-CONTRADICTED) the log's numbers in names, if evidence says otherwise.
+    """Refuse (EVENTS-CONTRADICTED) the log's numbers in names, if evidence contradicts them.
 
-    Evidence are tie points, times, positions, and a pair that the mission file states. That images
-    or events are usually not missing is no evidence here.
+    Evidence are tie points, times, positions, and a pair that the mission file states, but not
+    that images or events are rarely missing. It has to be 1000 times as likely by ``assignment`` as
+    by the numbers.
     """
-    against = evidence_against_names(assignment, by_name, exposed, evidence, likelihoods)
+    against = evidence_against_names(assignment, claimed_event, events, evidence, likelihoods)
     if sum(against.values()) <= LOG_RATIO_NEEDED:
         return
     decisive = [name for name, log_ratio in against.items() if log_ratio > 0.0]
-    where = f"events.log.{exposed.camera}"
+    where = f"events.log.{events.camera}"
     raise messages.numbers_contradicted(
         where=where,
         of=where,
         evidence=" and ".join(decisive),
-        found=describe_assignment(assignment, images, exposed),
+        found=describe_assignment(assignment, images, events),
     )
 
 
 def evidence_against_names(
     assignment: Assignment,
-    by_name: Integers,
-    exposed: Events,
+    claimed_event: Integers,
+    events: Events,
     evidence: ImageEvidence,
     likelihoods: Mapping[str, Likelihood],
 ) -> dict[str, float]:
-    """By each evidence, how much more likely an assignment is than that of the names.
+    """By kind of evidence, how much more likely ``assignment`` is than the events by the names.
 
-    ``by_name`` (k,) are the rows of the events that names claim. The values are natural logarithms.
-    Only images count that have an event in the assignment and by their name.
+    The values are natural logarithms of likelihood ratios. ``claimed_event`` (k,) is the row of the
+    event by the name of each image, -1 for none. Only images count that have both events.
     """
-    is_in_both = (by_name >= 0) & (assignment.event >= 0)
-    assigned = np.where(is_in_both, assignment.event, -1)
-    claimed = np.where(is_in_both, by_name, -1)
+    has_both = (claimed_event >= 0) & (assignment.event >= 0)
+    assigned = np.where(has_both, assignment.event, -1)
+    claimed = np.where(has_both, claimed_event, -1)
     against = {}
     for name, likelihood in likelihoods.items():
         against[name] = likelihood(assigned) - likelihood(claimed)
     if evidence.time_s is not None:
-        events = camera_events(exposed)
+        timed_events = camera_events(events)
         sigma_s = float(np.nan_to_num(assignment.sigma_s))
-        of_assigned = evidence.log_likelihood_of_times(events, assigned, sigma_s)
-        against["times"] = of_assigned - evidence.log_likelihood_of_times(events, claimed, sigma_s)
+        of_assigned = evidence.log_likelihood_of_times(timed_events, assigned, sigma_s)
+        of_claimed = evidence.log_likelihood_of_times(timed_events, claimed, sigma_s)
+        against["times"] = of_assigned - of_claimed
     if "first_image" in assignment.evidence:
-        # The mission file states a pair, which the assignment has and the names have not.
+        # The mission file states a pair that the assignment contains and the names do not.
         against["first_image"] = np.inf
     return against
 
 
-def stated_assignment(assignment: Assignment, by_name: Integers) -> Assignment:
-    """The assignment that names claim, and no evidence contradicts."""
+def stated_assignment(assignment: Assignment, claimed_event: Integers) -> Assignment:
+    """The assignment by the names of images alone: ``claimed_event`` (k,), no rival, no clock."""
     return replace(
         assignment,
-        event=by_name,
-        residual_s=np.full(by_name.shape, np.nan),
-        ambiguous=np.zeros(by_name.shape, np.bool_),
+        event=claimed_event,
+        residual_s=np.full(claimed_event.shape, np.nan),
+        ambiguous=np.zeros(claimed_event.shape, np.bool_),
         runner_up=np.empty(0, np.int64),
         evidence=("names (index)",),
         offset_s=np.nan,
     )
 
 
-def camera_events(exposed: Events) -> CameraEvents:
-    """The events of a camera with times from the first one [s]."""
-    return CameraEvents((exposed.time_ns - exposed.time_ns[0]) / 1e9, exposed.index)
-
-
 def refuse_ambiguity(
-    assignment: Assignment, why: str, images: CameraImages, exposed: Events
+    assignment: Assignment, why: str, images: CameraImages, events: Events
 ) -> None:
     """Refuse (EVENTS-AMBIGUOUS) an assignment, unless the reason ``why`` is empty."""
     if not why:
         return
-    strays, mend = beside_the_log(images, exposed)
+    strays, correction = stray_names_in_words(images, events)
     raise messages.assignment_ambiguous(
-        where=f"events.log.{exposed.camera}",
+        where=f"events.log.{events.camera}",
         strays=strays,
         why=why,
-        found=describe_assignment(assignment, images, exposed),
-        mend=mend,
-        camera=exposed.camera,
+        found=describe_assignment(assignment, images, events),
+        mend=correction,
+        camera=events.camera,
         first=str(images.name[0]),
     )
 
@@ -346,14 +368,15 @@ def notes_of_assignment(
     event: Integers,
     undecided: Mask,
     images: CameraImages,
-    exposed: Events,
+    events: Events,
 ) -> list[Message]:
-    """How many images have an event, and a loss of the images that evidence does not decide.
+    """A note of how many images have an event, and a loss of the images that are undecided.
 
-    ``event`` (k,) is the row of the event of each image, ``undecided`` (k,) a mask.
+    ``event`` (k,) is the row of the event of each image, -1 for none; ``undecided`` (k,) is True
+    for images for which the evidence gives different events.
     """
-    where = f"events.log.{exposed.camera}"
-    description = describe_assignment(assignment, images, exposed)
+    where = f"events.log.{events.camera}"
+    description = describe_assignment(assignment, images, events)
     count = int((event >= 0).sum())
     notes = [messages.events_assigned(where=where, count=count, description=description)]
     if undecided.any():
@@ -364,106 +387,64 @@ def notes_of_assignment(
     return notes
 
 
-def note_of_unused(unused: Integers, exposed: Events) -> Message:
+def note_of_unused(unused: Integers, events: Events) -> Message:
     """A note of events without an image; ``unused`` are their rows."""
-    numbers = unused + 1 if exposed.index is None else exposed.index[unused]
+    # Events without numbers in the log are counted from 1.
+    numbers = unused + 1 if events.index is None else events.index[unused]
     listed = ", ".join(map(str, numbers[:MOST_LISTED_EVENTS]))
     if unused.size > MOST_LISTED_EVENTS:
         listed += " ..."
-    where = f"events.log.{exposed.camera}"
+    where = f"events.log.{events.camera}"
     return messages.events_unused(where=where, count=int(unused.size), events=listed)
 
 
 def refuse_hole(
     assignment: Assignment,
     images: CameraImages,
-    exposed: Events,
+    events: Events,
     likelihoods: Mapping[str, Likelihood],
 ) -> None:
     """Refuse (EVENTS-AMBIGUOUS) where a part of the images may belong to other events."""
-    hole = hole_between(assignment, images, exposed, likelihoods)
+    hole = hole_between(assignment, images, events, likelihoods)
     if hole:
         why = f"a part of the images may be shifted, because {hole}"
-        refuse_ambiguity(assignment, why, images, exposed)
+        refuse_ambiguity(assignment, why, images, events)
 
 
-def beside_the_log(images: CameraImages, exposed: Events) -> tuple[str, str]:
-    """Two beginnings for a refusal: which few names do not fit the log, and what to do about them.
+def stray_names_in_words(images: CameraImages, events: Events) -> tuple[str, str]:
+    """Which names do not fit the log's numbers, and how to correct that: two beginnings of texts.
 
-    Both are empty unless all other names may be the log's numbers.
+    Both are empty unless the names form one series with few strays, and all others may be the log's
+    numbers.
     """
-    index = exposed.index
+    index = events.index
     if index is None:
         return "", ""
     series = name_series(images.name)[0]  # the largest
     is_only_series = len(series.numbers) == images.name.size
-    far = series.strays(index.tolist())
-    if not far or not is_only_series:
+    strays = series.strays(index.tolist())
+    if not strays or not is_only_series:
         return "", ""
     difference = (
-        f"{images.name.size} images, {index.size} events: {series.listed(far)} does not fit; the "
-        f"other names may be the numbers of the log {index.min()} to {index.max()}; "
+        f"{images.name.size} images, {index.size} events: {series.listed(strays)} does not fit; "
+        f"the other names may be the numbers of the log {index.min()} to {index.max()}; "
     )
-    to_do = (
-        f"write events.log.{exposed.camera}.image: {series.pattern('index')} if these are the "
+    correction = (
+        f"write events.log.{events.camera}.image: {series.pattern('index')} if these are the "
         "numbers of the log, or correct the name in the observations; or "
     )
-    return difference, to_do
+    return difference, correction
 
 
-def anchor_rows(
-    anchor: FirstImage | None, images: CameraImages, exposed: Events
-) -> tuple[int, int] | None:
-    """Rows of the image and the event that the mission file says belong together."""
-    if anchor is None:
-        return None
-    row = np.flatnonzero(images.name == anchor.image)
-    count = exposed.time_ns.size
-    if row.size == 0 or anchor.event > count:
-        raise messages.first_image_missing(
-            where=f"events.first_image.{exposed.camera}",
-            image=anchor.image,
-            event=anchor.event,
-            events=count,
-            first=str(images.name[0]),
-        )
-    return int(row[0]), anchor.event - 1
-
-
-def evidence_of_images(
-    exposed: Events, images: CameraImages, files: ImageTimes | None
-) -> ImageEvidence:
-    """Numbers of the images, and their times from the first event on where files have them."""
-    evidence = ImageEvidence(
-        images.name.size,
-        number=images.number,
-        numbering=images.numbering,
-        total=-1 if exposed.lost else None,  # where pulses were lost, equal counts mean nothing
-    )
-    if files is None:
-        return evidence
-    time_ns = np.append(files.time_ns, NO_TIME)[images.file]
-    timed = time_ns != NO_TIME
-    if not bool(timed.any()):
-        return evidence
-    begin_ns = exposed.time_ns[0]
-    seconds = (np.where(timed, time_ns, begin_ns) - begin_ns) / 1e9
-    return replace(
-        evidence,
-        time_s=np.where(timed, seconds, np.nan),
-        sigma_s=np.append(files.sigma_s, np.nan)[images.file],
-        clock_sigma_s=files.clock_sigma_s,
-    )
-
-
-def describe_assignment(assignment: Assignment, images: CameraImages, exposed: Events) -> str:
-    """An assignment with its residuals and its runner-up, in one sentence or two."""
-    assigned = int((assignment.event >= 0).sum())
-    text = f"{assigned} of {images.name.size} images and {exposed.time_ns.size} events"
-    if assigned:
+def describe_assignment(assignment: Assignment, images: CameraImages, events: Events) -> str:
+    """An assignment with its residuals and its runner-up, in words."""
+    assigned_count = int((assignment.event >= 0).sum())
+    text = f"{assigned_count} of {images.name.size} images and {events.time_ns.size} events"
+    if assigned_count:
         first = int(np.argmax(assignment.event >= 0))
         event = assignment.event[first]
-        number = event + 1 if exposed.index is None else exposed.index[event]
+        # Events without numbers in the log are counted from 1.
+        number = event + 1 if events.index is None else events.index[event]
         text += f", {images.name[first]} of event {number}"
     text += f", by {', '.join(assignment.evidence)}"
     residual = assignment.residual_s[np.isfinite(assignment.residual_s)]

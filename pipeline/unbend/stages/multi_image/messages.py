@@ -11,7 +11,7 @@ from unbend.tables.imports.messages import IMPORT_CONTRADICTED, ORIENTATION_FRAM
 
 
 def images_of_another_flight(*, where: str, absent: str, files: str) -> InputError:
-    """No image of the observations is among the files."""
+    """No image of the observations is among the image files: one of each is named."""
     return InputError(
         IMAGES_OTHER,
         (
@@ -60,7 +60,10 @@ EVENTS_CONTRADICTED = Code(
 
 
 def numbers_contradicted(*, where: str, found: str, of: str, evidence: str) -> MissionError:
-    """Evidence contradicts the log's numbers in the names of images."""
+    """Evidence contradicts the log's numbers in the names of images.
+
+    ``found`` is the assignment by the evidence, in words; ``of`` the key of the camera's events.
+    """
     return MissionError(
         EVENTS_CONTRADICTED,
         "{evidence} contradict the numbers of the log in the names of images: {found}",
@@ -96,7 +99,11 @@ EVENTS_AMBIGUOUS = Code(
 def assignment_ambiguous(
     *, where: str, strays: str, why: str, found: str, mend: str, camera: str, first: str
 ) -> MissionError:
-    """It is not decided which image belongs to which event."""
+    """It is not decided which image belongs to which event.
+
+    In words: ``why``; ``found``, the best assignment; ``strays``, names that do not fit the log,
+    and ``mend``, how to correct these (both empty if there are no such names).
+    """
     return MissionError(
         EVENTS_AMBIGUOUS,
         "{strays}the assignment of images to events is not decided: {why}. {found}",
@@ -145,7 +152,7 @@ EXIF_CLOCK = Code(
 
 
 def camera_clock_off(*, where: str, hours: float) -> Message:
-    """The camera's clock is days off."""
+    """The camera's clock differs by more than a day from that of the log."""
     return warning(
         EXIF_CLOCK,
         "the camera's clock is wrong by {hours:+.1f} h: are the images of this day?",
@@ -166,7 +173,7 @@ EVENTS_UNDECIDED = Code(
 
 
 def events_undecided(*, where: str, count: int, images: str) -> Message:
-    """Images of which the evidence disagrees."""
+    """Images for which the evidence gives different events; ``images`` lists the first names."""
     return loss(
         EVENTS_UNDECIDED,
         ("the evidence gives different events for {count} images, which have no event: {images}"),
@@ -186,7 +193,7 @@ EVENTS_UNUSED = Code(
 
 
 def events_unused(*, where: str, count: int, events: str) -> Message:
-    """Events to which no image belongs."""
+    """Events without an image; ``events`` lists the first numbers."""
     return note(
         EVENTS_UNUSED,
         "{count} events have no image: {events}",
@@ -208,7 +215,10 @@ EVENTS_FIRST_IMAGE = Code(
 def first_image_missing(
     *, where: str, image: str, event: int, events: int, first: str
 ) -> MissionError:
-    """The image or event of events.first_image is not there."""
+    """The image or the event under events.first_image does not exist.
+
+    ``event`` is its number, counted from 1; ``events`` is how many there are.
+    """
     return MissionError(
         EVENTS_FIRST_IMAGE,
         (
@@ -242,7 +252,11 @@ ORIENTATION_READING = Code(
 def orientation_reading(
     *, where: str, points: int, likely: str, better: float, changed: str
 ) -> InputError:
-    """Tie points meet far better in another reading of the orientations."""
+    """Tie points meet far better by another reading of the orientations.
+
+    ``likely`` is the reading in words, ``better`` by how much its natural log likelihood is higher,
+    ``changed`` what to change.
+    """
     return InputError(
         ORIENTATION_READING,
         (
@@ -293,7 +307,7 @@ def block_without_points(*, where: str) -> InputError:
 
 
 def frame_impossible(*, where: str, height_m: float) -> InputError:
-    """In the stated frame a block lies at impossible heights."""
+    """In the stated frame the points of a block have impossible heights (median ``height_m``)."""
     return InputError(
         ORIENTATION_FRAME,
         "in that frame the points of the block are {height_m:.0f} m above sea level",
@@ -308,7 +322,7 @@ def frame_impossible(*, where: str, height_m: float) -> InputError:
 
 
 def frame_unstated(*, where: str) -> MissionError:
-    """Nothing says what x, y and z of a block are."""
+    """Neither the mission file nor the block states the frame of its x, y and z."""
     return MissionError(
         ORIENTATION_FRAME,
         "the file does not state the frame of its x, y and z",
@@ -321,7 +335,10 @@ def frame_unstated(*, where: str) -> MissionError:
 
 
 def angles_of_one_frame(*, where: str, stated: str, latitude_deg: float) -> MissionError:
-    """Our own table of angles in one frame, stated as angles against the vertical of each image."""
+    """A table exported by unbend has angles in one frame, but the stated frame is another one.
+
+    The stated one has angles relative to the vertical of each image.
+    """
     return MissionError(
         ORIENTATION_FRAME,
         (
@@ -351,7 +368,10 @@ GROUND_BLOCK = Code(
 
 
 def ground_of_block(*, where: str, count: int, low: float, high: float, apart: float) -> Message:
-    """Ground heights are those of the points of a block."""
+    """Ground heights are those of the points of a block, ``low`` to ``high`` m above sea level.
+
+    ``apart`` is their median distance [m] from the median height in their image.
+    """
     return note(
         GROUND_BLOCK,
         (
@@ -389,7 +409,10 @@ ORIENTATION_HEIGHT = Code(
 def stations_below_ground(
     *, where: str, count: int, total: int, median: float, low: float, high: float
 ) -> MissionError:
-    """Too many stations lie below the ground."""
+    """Too many stations are below the ground.
+
+    ``median``, ``low`` and ``high`` are heights above the ground [m], of all usable stations.
+    """
     return MissionError(
         ORIENTATION_HEIGHT,
         (
@@ -416,7 +439,10 @@ def stations_below_ground(
 def stations_too_high(
     *, where: str, count: int, first: str, median: float, low: float, high: float
 ) -> Message:
-    """Stations far above the others."""
+    """A few stations far above the others.
+
+    ``median``, ``low`` and ``high`` are heights above the ground [m], of all usable stations.
+    """
     return loss(
         ORIENTATION_HEIGHT,
         (
@@ -491,7 +517,10 @@ POINTS_FAR = Code(
 
 
 def points_beyond_horizon(*, where: str, km: float, other: str) -> InputError:
-    """Object points lie behind the horizon of the stations that see them."""
+    """Object points are beyond the horizon of the stations that see them.
+
+    ``km`` is the median distance; ``other`` a likely cause in words, empty if unknown.
+    """
     return InputError(
         POINTS_FAR,
         (
@@ -509,7 +538,10 @@ def points_beyond_horizon(*, where: str, km: float, other: str) -> InputError:
 
 
 def points_far(*, where: str, count: int, km: float, other: str) -> Message:
-    """Object points are very far from the stations that see them."""
+    """Object points are very far from the stations that see them.
+
+    ``km`` is the median distance; ``other`` a likely cause in words, empty if unknown.
+    """
     return loss(
         POINTS_FAR,
         "the object points are {km:.0f} km from the stations that see them, in the median{other}",
@@ -534,7 +566,10 @@ GROUND_INTERSECTED = Code(
 def no_height_intersected(
     *, where: str, known: int, points: int, few: int, narrow: int, apart: int
 ) -> MissionError:
-    """No point has a height by the intersection of its rays."""
+    """No point has a height by the intersection of its rays.
+
+    ``few``, ``narrow`` and ``apart`` count the points without a height by reason (`PointHeights`).
+    """
     return MissionError(
         GROUND_INTERSECTED,
         (
@@ -566,7 +601,11 @@ def heights_intersected(
     apart: int,
     percent: float,
 ) -> Message:
-    """How many points have a height by intersection; a loss where these are too uncertain."""
+    """How many points have a height by intersection; a loss if these are too uncertain.
+
+    ``few``, ``narrow`` and ``apart`` count the points without a height by reason (`PointHeights`);
+    ``percent`` is the median sigma of a height, of the camera's height above the point.
+    """
     return message(
         kind,
         GROUND_INTERSECTED,
@@ -652,7 +691,11 @@ CONTROL_READING = Code(
 
 
 def control_reading(*, where: str, count: int, stated: float, off: float, likely: str) -> Message:
-    """Control points fit far better in another reading."""
+    """Control points fit far better by another reading of their table.
+
+    ``stated`` and ``off`` are the median distances [m] from where rays intersect, as the table is
+    stated and by the ``likely`` reading.
+    """
     return finding(
         CONTROL_READING,
         (
@@ -684,7 +727,10 @@ CONTROL_FAR = Code(
 
 
 def control_far(*, where: str, count: int, stated: float, sigma: float) -> Message:
-    """Control points are far from where their rays meet."""
+    """Control points are far from where their rays meet: ``stated`` m in the median.
+
+    ``sigma`` is the part that the sigmas of the stations explain [m].
+    """
     return finding(
         CONTROL_FAR,
         (
@@ -715,7 +761,10 @@ CONTROL_OUTLIER = Code(
 def control_outlier(
     *, where: str, count: int, total: int, most: float, median: float, names: str
 ) -> Message:
-    """Single control points are off."""
+    """Single control points have far larger residuals than the others.
+
+    ``most`` and ``median`` are residuals [m]; ``names`` lists the first of these points.
+    """
     return finding(
         CONTROL_OUTLIER,
         (
@@ -747,7 +796,10 @@ CONTROL_NOISE = Code(
 
 
 def control_noise(*, where: str, count: int, of: str, noise: float, effect: float) -> Message:
-    """Control points are too noisy to show the refraction."""
+    """Control points are too noisy to show the effect of the correction.
+
+    ``of`` is the source of the ``noise`` [m], in words; ``effect`` is that of the correction [m].
+    """
     return warning(
         CONTROL_NOISE,
         (
@@ -774,7 +826,7 @@ CONTROL_WORSE = Code(
 
 
 def control_worse(*, where: str, count: int, was: float, now: float) -> Message:
-    """Control points fit worse after the correction."""
+    """Control points have larger residuals (rms [m]) after the correction than before."""
     return finding(
         CONTROL_WORSE,
         (
@@ -940,7 +992,7 @@ ORIENTATION_UNIT = Code(
 
 
 def orientation_unit(*, where: str, camera: str, count: int, unit: str) -> Message:
-    """Angles that are radians, by the direction of the flight lines."""
+    """The angles of a camera are likely radians, because its headings follow the flight then."""
     return finding(
         ORIENTATION_UNIT,
         (
@@ -955,8 +1007,8 @@ def orientation_unit(*, where: str, camera: str, count: int, unit: str) -> Messa
 
 
 CERTAIN_DECADES = 6.0
-"""What is 10^6 times as likely as its rival is practically certain: beyond it the number says more
-of the model of errors than of the flight."""
+"""An explanation 10^6 times as likely as its rival is practically certain. A larger factor would
+show the model of errors rather than the flight."""
 
 CONTRADICTIONS = {
     code.name: code
@@ -970,7 +1022,7 @@ CONTRADICTIONS = {
         TIES_CAMERAS,
     )
 }
-"""Codes of what tie points contradict, by the names that `block.diagnosis` gives."""
+"""Codes by their names, for the findings of `block.diagnosis`."""
 
 
 def ties_contradict(
@@ -985,8 +1037,11 @@ def ties_contradict(
 ) -> Message:
     """Tie points contradict a part of the mission file.
 
-    ``decades`` : how much likelier they are then, as a power of ten; infinite where no other order
-    is compared. ``residual`` : what rays still miss by, over what sigmas explain; None if little.
+    code : the name of one of `CONTRADICTIONS`.
+    mistake, change : what is wrong, and what to change, in words.
+    decades : log10 of how much likelier the mistake is than what is stated; infinite if the
+        likelihoods are not compared.
+    residual : remaining residuals over their sigmas; None if they are small.
     """
     text = "{mistake}: by {points}"
     if CERTAIN_DECADES < decades < math.inf:
@@ -1014,7 +1069,10 @@ def ties_contradict(
 
 
 def ties_miss(*, oriented: bool, where: str, count: int, misses: str) -> Message:
-    """How far the rays of tie points miss each other."""
+    """How far the rays of tie points miss each other, in words (``misses``).
+
+    ``oriented`` : the stations are those of a table of orientations.
+    """
     code = ORIENTATION_TIES if oriented else TIES_RESIDUALS
     return note(code, "{misses}", where=where, count=count, misses=misses)
 
@@ -1022,9 +1080,11 @@ def ties_miss(*, oriented: bool, where: str, count: int, misses: str) -> Message
 def ties_do_not_meet(
     *, oriented: bool, where: str, count: int, misses: str, nearest: str
 ) -> Message:
-    """Rays of tie points do not meet, and no single mistake explains it.
+    """Rays of tie points do not meet, and no mistake explains it.
 
-    ``nearest`` : explanations with which they miss each other less; empty where there is none.
+    misses : how far the rays miss each other, in words.
+    nearest : mistakes that explain a part of that, in words; empty without any.
+    oriented : the stations are those of a table of orientations.
     """
     text = (
         "{misses}: the orientations are wrong (rows of other images or cameras, another "

@@ -1,4 +1,4 @@
-"""Stations from the orientation of a block: read, brought to each station's vertical, checked."""
+"""Stations from a table of orientations: converted to each station's vertical, and checked."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -40,25 +40,26 @@ from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints, tie_rays
 from unbend.units import DEGREE, RADIANS, Array, Integers
 
-FEW_WRONG = 0.1  # share of the stations: so many may be wrong alone, below ground or too high
+FEW_WRONG = 0.1  # share of the stations: more below the ground, or too high, are one mistake
 HIGHEST_ABOVE_GROUND_M = 15_000.0  # no survey is flown higher, in the median
 METRES_OF_A_FOOT = 0.3048
 SECTION = "stations.orientation"
-HEIGHTS_TO_METRES = "the heights in the file to metres (times 0.3048)"  # they have no key of a unit
+HEIGHTS_TO_METRES = "the heights in the file to metres (times 0.3048)"  # no key states their unit
 
 
 def oriented_stations(
     mission: Mission,
     inputs: OpenedInputs,
     flight: FlightLog,
-    exposed: list[Stations],
+    event_stations: list[Stations],
     *,
     ties: TiePoints,
     ledger: Ledger,
 ) -> Stations:
-    """The stations of `stations.orientation`; ``exposed`` are those of the events, if any.
+    """The stations of the table under stations.orientation, checked by all that is known.
 
-    Refuses (ORIENTATION-READING) a table by which tie points meet far better in another reading.
+    ``event_stations`` are the stations by the log, camera by camera; empty without events. Refuses
+    (ORIENTATION-READING) a table if tie points meet far better by another reading of it.
     """
     section = section_of_block(mission, inputs)
     observations = inputs.observations
@@ -75,14 +76,14 @@ def oriented_stations(
         table.image, observations.images, mission.observations.match_names, SECTION
     )
     table = replace(table, image=ledger.take(renamed_images))
-    reader = Reader(mission, inputs, flight, section, exposed)
+    reader = OrientationReader(mission, inputs, flight, section, event_stations)
     stations = reader.stations(table, ledger)
     frame = None
     if not section.is_level:
         frame = reader.frame(table, Ledger())  # its notes were added with the stations
     rays = tie_rays(ties, stations.image, stations.camera, mission.interior_orientations)
-    tie_points = np.unique(rays.point).size
-    has_tie_points = tie_points >= FEWEST_TIE_POINTS
+    tie_point_count = np.unique(rays.point).size
+    has_tie_points = tie_point_count >= FEWEST_TIE_POINTS
     ledger.extend(
         check_frame(
             inputs,
@@ -90,7 +91,7 @@ def oriented_stations(
             named_as_in_block,
             stations,
             frame=frame,
-            exposed=exposed,
+            event_stations=event_stations,
             has_control=mission.control is not None,
             has_tested_heights=has_tie_points and has_ground_heights(mission, ties),
         )
@@ -101,7 +102,7 @@ def oriented_stations(
     if not has_tie_points:
         ledger.add(
             messages.orientation_unchecked(
-                where=str(section.path), count=tie_points, needed=FEWEST_TIE_POINTS
+                where=str(section.path), count=tie_point_count, needed=FEWEST_TIE_POINTS
             )
         )
         ledger.extend(unit_of_angles(section, table, stations))
@@ -114,8 +115,9 @@ def oriented_stations(
 def unit_of_angles(
     section: OrientationSection, table: OrientationTable, stations: Stations
 ) -> Iterator[Message]:
-    """A finding (ORIENTATION-UNIT) for each camera whose angles follow the flight only as radians.
+    """A finding (ORIENTATION-UNIT) for each camera with angles that are likely radians.
 
+    That is if its headings follow the flight lines as radians, and not in the stated unit.
     ``stations`` are those of the table, in its order.
     """
     if section.unit == "rad" or section.angles.startswith("quaternion"):
@@ -141,7 +143,7 @@ def unit_of_angles(
 
 
 def has_ground_heights(mission: Mission, ties: TiePoints) -> bool:
-    """Whether heights of the ground are given that tie points can be compared with."""
+    """Whether the mission has heights of the ground to compare tie points with."""
     ground = mission.ground
     if not ground.is_given:
         return False
@@ -150,11 +152,15 @@ def has_ground_heights(mission: Mission, ties: TiePoints) -> bool:
 
 
 def other_readings(
-    section: OrientationSection, table: OrientationTable, reader: "Reader"
+    section: OrientationSection, table: OrientationTable, reader: "OrientationReader"
 ) -> Iterator[StationsReading]:
-    """What the table could mean instead of what the mission file states: angles and positions."""
+    """Other readings of angles and positions of a table than the mission file states.
+
+    ``reader`` makes stations of a changed table, when they are needed.
+    """
 
     def reading(words: str, key: str, changed: OrientationTable) -> StationsReading:
+        """A reading by a ``changed`` table; ``key`` of the section is to be changed then."""
         stations = partial(reader.stations, changed, Ledger())
         return StationsReading(words, f"{SECTION}.{key}", stations)
 
@@ -165,7 +171,7 @@ def other_readings(
         order = section.angles if section.angles.endswith("kappa") else None
         first, second, last = section.angle_names
         for words, key, change in readings_of_angles((first, second, last), section.unit, order):
-            if section.format == "dji":  # the mistake would be one about the gimbal's angles
+            if section.format == "dji":  # its file has the angles of the gimbal
                 angles = rpy_of_gimbal(change(gimbal_of_rpy(table.angles)))
             else:
                 angles = change(table.angles)
@@ -179,10 +185,10 @@ def other_readings(
         yield StationsReading("if the heights are in feet", HEIGHTS_TO_METRES, stations)
 
 
-class Reader:
-    """Makes stations of a table of orientations, in any reading of it.
+class OrientationReader:
+    """Makes stations of a table of orientations, as stated or with changed numbers.
 
-    ``exposed`` are the stations of the events: they give the times that the table does not have.
+    ``event_stations`` are the stations by the log: they give times if the table has none.
     """
 
     def __init__(
@@ -191,24 +197,25 @@ class Reader:
         inputs: OpenedInputs,
         flight: FlightLog,
         section: OrientationSection,
-        exposed: list[Stations],
+        event_stations: list[Stations],
     ) -> None:
         self.mission = mission
         self.inputs = inputs
         self.flight = flight
         self.section = section
-        self.exposed = exposed
+        self.event_stations = event_stations
 
     def stations(self, table: OrientationTable, ledger: Ledger) -> Stations:
-        """The stations of a table, with each attitude against the station's own vertical."""
+        """The stations of a table, with attitudes relative to the vertical of each station."""
         section = self.section
         quaternion = quaternions_of_table(section, table)
         latitude, longitude, height_m = table.position.T
         tilt_rad = 0.0
         if section.is_level:
             convergence_rad = section.convergence_deg * DEGREE + table.convergence_rad
-            turn = rotations.enu_from_grid(convergence_rad)
-            quaternion = rotations.in_turned_frame(quaternion, turn.swapaxes(-1, -2))
+            enu_from_grid = rotations.enu_from_grid(convergence_rad)
+            grid_from_enu = enu_from_grid.swapaxes(-1, -2)
+            quaternion = rotations.in_turned_frame(quaternion, grid_from_enu)
         else:
             frame = self.frame(table, ledger)
             tilt_rad = frame.tilt_rad
@@ -238,28 +245,36 @@ class Reader:
         return stations
 
     def frame(self, table: OrientationTable, ledger: Ledger) -> CartesianFrame:
-        """The frame of the angles of a table that are not against each station's vertical."""
+        """The frame of a table with angles that are not relative to each station's vertical."""
         return frame_of_block(
-            self.inputs, self.flight, self.section, table, exposed=self.exposed, ledger=ledger
+            self.inputs,
+            self.flight,
+            self.section,
+            table,
+            event_stations=self.event_stations,
+            ledger=ledger,
         )
 
     def times(self, table: OrientationTable) -> Integers:
         """(n,) times of the images [Unix ns].
 
-        They are the table's, if it has times or there are no events; else those of the events,
-        `NO_TIME` for an image without an event.
+        They are the times of the table, if it has any or if there are no events. Else they are the
+        times of the events, and `NO_TIME` for an image without an event.
         """
         table_has_times = self.section.has_clock or bool((table.time_ns != NO_TIME).any())
-        if table_has_times or not self.exposed:
+        if table_has_times or not self.event_stations:
             return table.time_ns
         time_of_image: dict[str, int] = {}
-        for stations in self.exposed:
+        for stations in self.event_stations:
             time_of_image.update(zip(stations.image, stations.time_ns, strict=True))
         return np.array([time_of_image.get(name, NO_TIME) for name in table.image], np.int64)
 
 
 def quaternions_of_table(section: OrientationSection, table: OrientationTable) -> Array:
-    """(n, 4) attitudes of a table in its frame: of cameras; of the aircraft by its angles."""
+    """(n, 4) attitudes relative to the frame of a table, of the cameras.
+
+    Roll, pitch and yaw give attitudes of the aircraft instead.
+    """
     if section.angles == "roll_pitch_yaw":
         return rotations.quaternion_of_rpy(table.angles, np.eye(3))
     if section.angles == "quaternion":
@@ -276,15 +291,15 @@ def check_height_above_ground(
     observations: Observations,
     ledger: Ledger,
 ) -> Stations:
-    """Compare the stations with the given ground; returns them, some perhaps suspect.
+    """Compare the heights of stations with the stated ground.
 
     In this order:
 
-    * refused (ORIENTATION-HEIGHT) if more than a tenth of the stations are below the ground;
-    * if a few, at most a tenth, are far too high, these become suspect, with a loss;
-    * else a note of the heights above ground; a warning if some are below it or too high.
+    * refuses (ORIENTATION-HEIGHT) stations of which more than a tenth are below the ground;
+    * a loss if up to a tenth are more than 15 km above the ground: these are returned as suspect;
+    * else a note of the heights above ground, or a warning if some are below it or too high.
 
-    Nothing is compared where no height of the ground is given.
+    Nothing is compared if no height of the ground is stated, or slant ranges give it.
     """
     section = mission.ground
     batch = next(observations.batches(mission.output.batch_rows))
@@ -296,28 +311,28 @@ def check_height_above_ground(
         return stations
     offset_m = heights.ground_offsets(section.reference_of_values, stations, flight.heights)
     above_m = stations.h_msl_m - (offset_m + np.median(ground_m))
-    above_ok = above_m[stations.ok]
-    median = float(np.median(above_ok))
-    lowest = float(above_ok.min())
-    highest = float(above_ok.max())
-    below = int((above_ok <= 0.0).sum())
-    if below > FEW_WRONG * above_ok.size:
+    above_of_usable_m = above_m[stations.ok]
+    median = float(np.median(above_of_usable_m))
+    lowest = float(above_of_usable_m.min())
+    highest = float(above_of_usable_m.max())
+    count_below = int((above_of_usable_m <= 0.0).sum())
+    if count_below > FEW_WRONG * above_of_usable_m.size:
         raise messages.stations_below_ground(
             where=SECTION,
-            count=below,
-            total=above_ok.size,
+            count=count_below,
+            total=above_of_usable_m.size,
             median=median,
             low=lowest,
             high=highest,
         )
     with np.errstate(invalid="ignore"):
         too_high = stations.ok & (above_m > HIGHEST_ABOVE_GROUND_M)
-    count = int(too_high.sum())
-    if 0 < count <= FEW_WRONG * above_ok.size:
+    count_too_high = int(too_high.sum())
+    if 0 < count_too_high <= FEW_WRONG * above_of_usable_m.size:
         ledger.add(
             messages.stations_too_high(
                 where=SECTION,
-                count=count,
+                count=count_too_high,
                 first=str(stations.image[too_high][0]),
                 median=median,
                 low=lowest,
@@ -326,12 +341,12 @@ def check_height_above_ground(
         )
         use = mission.stations.use_suspect
         return stations.as_suspect(too_high, "far above the others", np.nan, use=use)
-    is_odd = below > 0 or count > 0
+    is_odd = count_below > 0 or count_too_high > 0
     ledger.add(
         messages.heights_above_ground(
             kind=Kind.WARNING if is_odd else Kind.NOTE,
             where=SECTION,
-            count=above_ok.size,
+            count=above_of_usable_m.size,
             median=median,
             low=lowest,
             high=highest,
@@ -343,16 +358,16 @@ def check_height_above_ground(
 def sigmas_of_block(
     section: OrientationSection, table: OrientationTable, tilt_rad: float
 ) -> dict[str, Array]:
-    """Standard deviations of images by their names in `Stations`, (n,) each; NaN where unknown.
+    """Standard deviations of images, (n,) each, by their field of `Stations`; NaN if unknown.
 
-    Each is a column of the table, or the constant of the mission file. ``tilt_rad`` is how far the
-    vertical of the frame may lean; it adds to the sigma of the tilt.
+    Each is a column of the table, else the constant of the mission file. ``tilt_rad`` is the
+    standard deviation of the vertical of the frame; it enlarges the sigma of the tilt.
     """
     stated_sigmas = {
-        "sigma_tilt_rad": in_units(section.sigma_tilt_deg, DEGREE),
-        "sigma_yaw_rad": in_units(section.sigma_yaw_deg, DEGREE),
-        "sigma_horizontal_m": in_units(section.sigma_horizontal_m, 1.0),
-        "sigma_height_m": in_units(section.sigma_height_m, 1.0),
+        "sigma_tilt_rad": value_in_si(section.sigma_tilt_deg, DEGREE),
+        "sigma_yaw_rad": value_in_si(section.sigma_yaw_deg, DEGREE),
+        "sigma_horizontal_m": value_in_si(section.sigma_horizontal_m, 1.0),
+        "sigma_height_m": value_in_si(section.sigma_height_m, 1.0),
     }
     sigmas = {}
     for name, constant in stated_sigmas.items():
@@ -362,6 +377,6 @@ def sigmas_of_block(
     return sigmas
 
 
-def in_units(value: float | None, size: float) -> float:
+def value_in_si(value: float | None, unit_size: float) -> float:
     """A number times the size of its unit; NaN for None."""
-    return np.nan if value is None else value * size
+    return np.nan if value is None else value * unit_size

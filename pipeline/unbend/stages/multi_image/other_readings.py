@@ -1,9 +1,9 @@
-"""What the angles of a file could mean instead of what is stated, decided by tie points.
+"""Other readings of the angles of a file than the stated one, tested by tie points.
 
-Angles come in as a table of orientations, as tags of images, with a trajectory, and with the
-exposures of another program. On each of these roads the unit, a sign, the order of the rotations
-or the side of the image that is up may be another one. A reading by which the rays of tie points
-meet 1000 times as likely is a refusal, never a repair.
+Angles come from a table of orientations, from tags of images, with a trajectory, and with the
+exposures of another program. In each of these files the unit, a sign, the order of the rotations or
+the side of the image that is up may differ from what is stated. If the rays of tie points meet 1000
+times as likely by another reading, the mission is refused; the reading is not changed.
 """
 
 from __future__ import annotations
@@ -31,12 +31,17 @@ from unbend.tables.imports.stated import Stated
 from unbend.units import RADIANS, AngleUnit, Array
 
 GOOD_FACTOR = 2.0  # residuals over those of an adjusted block, that another reading may have
-UNSTATED = "angles or columns"  # what to change, where no single key says it
+UNSTATED = "angles or columns"  # keys to change for a mistake that has no key of its own
 QUARTER_TURNS_DEG = (90.0, -90.0, 180.0)  # of the image about the axis of the camera
 
 
 class AngleReading(NamedTuple):
-    """What three angles could mean: in words, the key to change then, and the angles as stated."""
+    """Another meaning of the three angles of a file.
+
+    words : the meaning, for a message.
+    key : the key of the mission file to change if it is right.
+    change : the angles (n, 3) [rad] that are right then, of those that were read as stated.
+    """
 
     words: str
     key: str
@@ -44,7 +49,10 @@ class AngleReading(NamedTuple):
 
 
 class StationsReading(NamedTuple):
-    """A reading of a file with the stations by it, which may be refused (MissionError)."""
+    """Another reading of a file: in words, the key to change if it is right, and its stations.
+
+    ``stations`` makes the stations; it raises MissionError if they are impossible.
+    """
 
     words: str
     key: str
@@ -54,56 +62,71 @@ class StationsReading(NamedTuple):
 def readings_of_angles(
     names: tuple[str, str, str], unit: AngleUnit, order: str | None
 ) -> Iterator[AngleReading]:
-    """Other units, signs and orders of three angles (n, 3) [rad] that were read in a ``unit``.
+    """Other units, signs and orders of three angles than those that are stated.
 
-    ``order`` is that of photogrammetric angles, whose last one turns the image about the camera's
-    axis; None for roll, pitch and yaw.
+    names : of the angles, for messages.
+    unit : the stated unit.
+    order : the stated order of photogrammetric angles, as omega_phi_kappa: the last angle turns the
+        image about the camera's axis. None for roll, pitch and yaw.
     """
-    for other, size in RADIANS.items():
-        if other != unit:
+    for other_unit, size in RADIANS.items():
+        if other_unit != unit:
             ratio = size / RADIANS[unit]
-            yield AngleReading(f"if the angles are in {other}", "unit", _scaled(ratio))
-    for mistake, undone in rotations.ANGLE_MISTAKES.items():
-        yield AngleReading(mistake.format(*names), UNSTATED, _mistaken(undone))
+            yield AngleReading(f"if the angles are in {other_unit}", "unit", _scaling(ratio))
+    for mistake, correct in rotations.ANGLE_MISTAKES.items():
+        yield AngleReading(mistake.format(*names), UNSTATED, _correction(correct))
     if order is None:
         return
     yield _other_order(order)
     for turn_deg in QUARTER_TURNS_DEG:
         words = f"with the images turned by {turn_deg:g} degrees about the axis of the camera"
-        yield AngleReading(words, UNSTATED, _turned(np.radians(turn_deg)))
+        yield AngleReading(words, UNSTATED, _image_turn(np.radians(turn_deg)))
 
 
 def _other_order(order: str) -> AngleReading:
-    """The reading by which angles turn in the other order than that of their names."""
+    """The reading with the first two rotations in the other order than stated.
+
+    ``order`` : omega_phi_kappa or phi_omega_kappa, as stated.
+    """
     first, second, _ = order.split("_")
-    meant = f"{second}_{first}_kappa"
-    return AngleReading(f"if the angles are {meant}", UNSTATED, _in_order(meant, order))
+    other_order = f"{second}_{first}_kappa"
+    words = f"if the angles are {other_order}"
+    return AngleReading(words, UNSTATED, _reordering(other_order, order))
 
 
-def _scaled(ratio: float) -> Callable[[Array], Array]:
+def _scaling(ratio: float) -> Callable[[Array], Array]:
+    """The function that multiplies angles (n, 3) by ``ratio``."""
     return lambda angles: angles * ratio
 
 
-def _turned(turn_rad: float) -> Callable[[Array], Array]:
+def _image_turn(turn_rad: float) -> Callable[[Array], Array]:
+    """The function that adds ``turn_rad`` to the last of the angles (n, 3)."""
     return lambda angles: np.add(angles, [0.0, 0.0, turn_rad])
 
 
-def _mistaken(undone: Callable[..., tuple[Array, Array, Array]]) -> Callable[[Array], Array]:
-    return lambda angles: np.stack(undone(*angles.T), axis=1)
+def _correction(
+    correct: Callable[..., tuple[Array, Array, Array]],
+) -> Callable[[Array], Array]:
+    """A function of three angles (n,) each, as a function of angles (n, 3)."""
+    return lambda angles: np.stack(correct(*angles.T), axis=1)
 
 
-def _in_order(meant: str, stated: str) -> Callable[[Array], Array]:
-    """Angles that turn in the order ``meant``, in the order ``stated`` of their names."""
+def _reordering(true_order: str, stated_order: str) -> Callable[[Array], Array]:
+    """The function that converts angles that turn in the true order to those in the stated order.
+
+    Its argument (n, 3) was read in the stated order: its first two columns are those of
+    ``true_order``, exchanged.
+    """
 
     def change(angles: Array) -> Array:
-        quaternion = rotations.quaternion_of_opk(angles[:, [1, 0, 2]], meant)
-        return rotations.opk_of_quaternion(quaternion, stated)
+        quaternion = rotations.quaternion_of_opk(angles[:, [1, 0, 2]], true_order)
+        return rotations.opk_of_quaternion(quaternion, stated_order)
 
     return change
 
 
 def intersected(stations: Stations, rays: ImageRays) -> Intersection:
-    """The tie points at which rays meet, with the stations held."""
+    """The intersection of the rays of tie points, with the stations fixed and no ground heights."""
     orientations = orientations_of(stations, SIGMAS_OF_BLOCK)
     return intersect(orientations, straightened(orientations, replace(rays, height_m=None)))
 
@@ -111,10 +134,10 @@ def intersected(stations: Stations, rays: ImageRays) -> Intersection:
 def refuse_other_reading(
     stations: Stations, readings: Iterable[StationsReading], rays: ImageRays, *, where: str
 ) -> None:
-    """Refuse (ORIENTATION-READING) stations, where rays meet far better in another reading.
+    """Refuse (ORIENTATION-READING) stations if rays meet far better by another reading.
 
     The best of the ``readings`` has to be 1000 times as likely as what is stated, and its residuals
-    at most twice those that an adjusted block has.
+    at most twice as large as those of an adjusted block.
     """
     as_stated = intersected(stations, rays)
     if as_stated.misfit <= LOG_RATIO_NEEDED:  # nothing can be more likely by as much
@@ -122,7 +145,7 @@ def refuse_other_reading(
     likely: StationsReading | None = None
     best = as_stated
     for reading in readings:
-        with suppress(MissionError):  # a reading that is refused is not meant
+        with suppress(MissionError):  # a reading with impossible stations is not the right one
             intersection = intersected(reading.stations(), rays)
             if intersection.log_likelihood > best.log_likelihood:
                 likely = reading
@@ -140,9 +163,11 @@ def refuse_other_reading(
 
 @dataclass(frozen=True)
 class AngleRoad:
-    """A file of a mission from which angles come: its key, its name, and how it is read anew.
+    """A file of a mission that gives angles, and how to read it in another way.
 
-    inputs_as : the inputs of the mission, which read this file by a change of its angles.
+    key, path : its key in the mission file, and its path.
+    readings : other readings of its angles than the stated one.
+    inputs_as : makes the inputs of the mission with a change of the angles of this file.
     """
 
     key: str
@@ -154,7 +179,10 @@ class AngleRoad:
 def roads_of_angles(
     mission: Mission, inputs: OpenedInputs, positions: Mapping[str, Channel]
 ) -> Iterator[AngleRoad]:
-    """The trajectory and the exposures of other programs that attitudes are taken from."""
+    """The trajectory, and the files of exposures of other programs, that give attitudes.
+
+    ``positions`` are the channels of the files under events.positions, by camera.
+    """
     trajectory = mission.stations.trajectory
     reader = inputs.trajectory
     if trajectory is not None and reader is not None and trajectory.has_angles:
@@ -184,6 +212,7 @@ def roads_of_angles(
 def _camera_events_as(
     inputs: OpenedInputs, camera: str
 ) -> Callable[[Callable[[Array], Array]], OpenedInputs]:
+    """The function that makes ``inputs`` with a change of the angles in one camera's exposures."""
     reader = inputs.camera_events[camera]
 
     def inputs_as(change: Callable[[Array], Array]) -> OpenedInputs:
@@ -194,7 +223,7 @@ def _camera_events_as(
 
 
 def _read_as(reader: ChannelReader, change: Callable[[Array], Array]) -> ChannelReader:
-    """The reader of a file whose angles are changed before they are used."""
+    """A reader that changes the angles of its file before they are used."""
 
     def read(stated: Stated, ledger: Ledger) -> Channel:
         return reader(replace(stated, angles_meant=change), ledger)

@@ -1,4 +1,4 @@
-"""Heights of points: from a table of the user's, which is checked, or by intersection of rays."""
+"""Heights of object points: from a user's table, which is checked, or by intersection of rays."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -36,8 +36,8 @@ from unbend.units import WGS84_A, Array, Integers
 
 FARTHEST_IN_HEIGHTS = 20.0  # flying heights: farther points are seen at more than 87 deg
 LOWEST_FLIGHT_M = 50.0  # above the points: a lower flight counts as one of this height
-CHECKED_ROWS = 100_000  # first rows whose points are compared with their stations
-LIKELY_EXCHANGED = 0.1  # exchanged coordinates are likely if they give so small a part of distances
+CHECKED_ROWS = 100_000  # of the observations: the first, with points compared with their stations
+LIKELY_EXCHANGED = 0.1  # of the distances: coordinates are likely exchanged if that leaves less
 BATCH_ROWS = 250_000
 ROWS_OF_A_FILE = 300_000  # about as many rays are intersected at a time: 12 MB
 MOST_FILES = 200  # temporary files that are open together
@@ -51,9 +51,9 @@ RAY = np.dtype([("point", "u8"), ("row", "i8"), ("station", "i8"), ("x", "f8"), 
 def with_object_points(
     mission: Mission, inputs: OpenedInputs, flight: FlightLog, ledger: Ledger
 ) -> Observations:
-    """The observations with the object points that give the ground heights, if the mission has any.
+    """The observations, with the object points of the block or of the user's table.
 
-    They are those of the block or of the user's table.
+    Unchanged if the mission takes ground heights from neither.
     """
     ground = mission.ground
     observations = inputs.observations
@@ -83,10 +83,10 @@ def points_above_sea(
     geoid: GeoidGrid | None,
     ledger: Ledger,
 ) -> ObjectPoints:
-    """The points of a user's table, their heights above sea level.
+    """The points of a user's table, with heights above sea level.
 
-    ``section`` states the coordinate system of the table, ``reference`` what its heights count
-    from; ``key`` is the key of the section, for refusals.
+    ``section`` states the coordinate system of the table, ``reference`` the zero of its heights;
+    ``key`` is the key of the section, for refusals.
     """
     columns = table.columns
     if "x" in columns:
@@ -113,25 +113,25 @@ def points_above_sea(
 def check_object_points(observations: Observations, stations: Stations, ledger: Ledger) -> None:
     """Compare the places of object points with the stations that see them.
 
-    Refuses a user's table that has none of the observed points (POINTS-MISSING); of a block all may
-    be unknown, because an unknown point has the usual height of its image. Refuses points whose
-    median distance is beyond the horizon (POINTS-FAR); a loss if they are nearer, but seen at more
-    than 87 deg from the nadir.
+    Refuses a user's table that has none of the observed points (POINTS-MISSING). A block may have
+    none, because an unknown point gets the usual height of its image. Refuses points at a median
+    distance beyond the horizon (POINTS-FAR); a loss if they are nearer, but seen at more than 87
+    deg from the nadir.
     """
     points = observations.points
     if points is None:
         return
     where = "ground.height.points"
     batch = next(observations.batches(CHECKED_ROWS))
-    _, row = points.heights(batch.point, batch.image)  # -1 for a point that is not among them
+    _, row = points.heights(batch.point, batch.image)  # rows of points, -1 for an unknown point
     # Only a block has heights ``of_image``.
     if points.of_image is None and not bool((row >= 0).any()):
         raise messages.no_point_in_table(
             where=where, total=len(batch), point=str(batch.point[0]), first=str(points.name[0])
         )
     station = matching_rows(batch.image, pa.array(stations.image, pa.string()))
-    is_pair = (row >= 0) & (station >= 0)  # of a known point and a station
-    seen = seen_points(points, stations, row[is_pair], station[is_pair])
+    has_both = (row >= 0) & (station >= 0)  # a known point and a station
+    seen = seen_points(points, stations, row[has_both], station[has_both])
     is_known = np.isfinite(seen.distance_m)
     if not bool(is_known.any()):
         return
@@ -154,11 +154,11 @@ def check_object_points(observations: Observations, stations: Stations, ledger: 
 
 @dataclass(frozen=True, eq=False)
 class SeenPoints:
-    """Object points beside the stations that see them, (n,) [m].
+    """Pairs of an object point and a station that sees it, (n,) [m].
 
-    distance_m : from station to point.
+    distance_m : from station to point; NaN if a place is unknown.
     distance_exchanged_m : the same with latitude and longitude of the point exchanged.
-    above_m : difference of the heights of station and point, at least 50 m.
+    above_m : absolute difference of the heights of station and point, at least 50 m.
     """
 
     distance_m: Array
@@ -169,22 +169,21 @@ class SeenPoints:
 def seen_points(
     points: ObjectPoints, stations: Stations, row: Integers, station: Integers
 ) -> SeenPoints:
-    """How far each point is from the station that sees it, for n pairs of them.
+    """How far each point is from the station that sees it, for n pairs of a point and a station.
 
-    ``row`` (n,) are rows of the points, ``station`` (n,) rows of the stations.
+    ``row`` (n,) are rows of ``points``, ``station`` (n,) rows of ``stations``.
     """
     latitude = points.lat_rad[row]
     longitude = points.lon_rad[row]
     h = points.h_m[row]
     station_h = stations.h_msl_m[station]
     centre = ecef_of_geodetic(stations.lat_rad[station], stations.lon_rad[station], station_h)
-    apart = ecef_of_geodetic(latitude, longitude, h) - centre
-    # The places if the columns of latitude and longitude were confused.
-    exchanged = ecef_of_geodetic(longitude, latitude, h) - centre
+    line = ecef_of_geodetic(latitude, longitude, h) - centre
+    line_exchanged = ecef_of_geodetic(longitude, latitude, h) - centre
     return SeenPoints(
-        np.linalg.norm(apart, axis=1),
-        np.linalg.norm(exchanged, axis=1),
-        np.maximum(np.abs(station_h - h), LOWEST_FLIGHT_M),
+        distance_m=np.linalg.norm(line, axis=1),
+        distance_exchanged_m=np.linalg.norm(line_exchanged, axis=1),
+        above_m=np.maximum(np.abs(station_h - h), LOWEST_FLIGHT_M),
     )
 
 
@@ -197,19 +196,20 @@ def with_intersected_heights(
 ) -> CorrectionSetup:
     """The setup with intersected ground heights and their sigmas, if the mission asks for them.
 
-    The rays of one point may lie anywhere in a long table. Therefore the rows are first divided,
-    by the hash of their points, among temporary files of some 300,000 rows, so that all rays of a
-    point are in one file; then the files are intersected one after the other (`heights_of_rays`).
-    The heights lie in a temporary file too (16 bytes a row, the rays 40). A sample of the
-    observations needs one file: only rows that show a point of the sample are read. A point whose
-    rays do not meet has no height (NaN); refuses (GROUND-INTERSECTED) a mission in which no point
-    has one.
+    The rays of one point may be anywhere in a long table. Therefore the rays are first divided, by
+    the hash of their point, among temporary files of some 300,000 rays (40 bytes each), so that all
+    rays of a point are in one file; then file after file is intersected (`heights_of_rays`). The
+    heights go into a temporary file too (16 bytes a row of the table). A sample of the observations
+    needs one file, because only rows with a point of the sample are read.
+
+    A point has no height (NaN) if its rays do not meet; refuses (GROUND-INTERSECTED) a mission in
+    which no point has a height.
     """
     if mission.ground.height != "intersected":
         return setup
     with TemporaryFile() as file_of_heights:  # the map of its memory outlives the closed file
         heights = np.memmap(file_of_heights, np.float64, "w+", shape=(2, observations.rows))
-    heights[:] = np.nan  # the first row will be heights, the second their sigmas
+    heights[:] = np.nan  # heights[0] will be heights above sea level [m], heights[1] their sigmas
     orientations = orientations_of_mission(mission, stations)
     counts: Counter[str] = Counter()
     shares = []
@@ -234,7 +234,10 @@ def with_intersected_heights(
 
 
 def counts_of_points(points: PointHeights) -> Counter[str]:
-    """How many points there are, and how many have no height for each of three reasons."""
+    """How many points there are, and how many have no height for each reason.
+
+    The reasons are ``few``, ``narrow`` and ``apart`` of `PointHeights`.
+    """
     return Counter(
         points=points.h_m.size,
         few=int(points.few.sum()),
@@ -244,9 +247,10 @@ def counts_of_points(points: PointHeights) -> Counter[str]:
 
 
 def sigma_shares(sigma_m: Array, above_m: Array) -> Array:
-    """Known sigmas of heights as shares of the camera's height above the point, evenly spaced.
+    """Sigmas of heights as shares of the camera's height above the point: a sample of the known.
 
-    At most about `SAMPLED_SHARES` of them, for a median over all files.
+    ``sigma_m`` and ``above_m`` are (n,), one for each ray. At most about 10,000 are returned,
+    evenly spaced, for a median over all files.
     """
     with np.errstate(invalid="ignore"):
         share = sigma_m / np.abs(above_m)
@@ -255,23 +259,24 @@ def sigma_shares(sigma_m: Array, above_m: Array) -> Array:
 
 
 def batches_with_points(observations: Observations) -> Iterable[Batch]:
-    """The observations in batches.
+    """The observations in batches, with all rays of each point that matters.
 
-    Of a sample there is one batch: all rows of the table that show a point of the sample, because
-    the sampled rows alone have too few rays of each point.
+    For a sample it is one batch of all rows of the table that show a point of the sample: the
+    sampled rows alone have too few rays of each point.
     """
     if observations.sample is None:
         return observations.batches(BATCH_ROWS)
-    wanted = np.unique(hashes_of(observations.sampled(points=True).point))
-    return [observations.of_points(lambda hashes: rows_among(hashes, wanted))]
+    sampled_hashes = np.unique(hashes_of(observations.sampled(points=True).point))
+    return [observations.of_points(lambda hashes: rows_among(hashes, sampled_hashes))]
 
 
 def write_rays(
     batches: Iterable[Batch], setup: CorrectionSetup, files: Sequence[IO[bytes]]
 ) -> None:
-    """Write the rays of observations that have a point, a pixel and a station into files.
+    """Write the rays of observations into ``files``, as records of `RAY`.
 
-    All rays of one point go into the same file.
+    All rays of one point go into the same file. Observations without a point, a pixel or a station
+    are left out.
     """
     images = pa.array(setup.images, pa.string())
     for batch in batches:
@@ -291,9 +296,10 @@ def write_rays(
 
 
 def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger) -> None:
-    """Add how many points have a height to the ledger; refuses (GROUND-INTERSECTED) if none has.
+    """Add to the ledger how many points have a height, and how uncertain the heights are.
 
-    ``counts`` as of `counts_of_points`, ``shares`` as of `sigma_shares`.
+    A note; a loss if the median share is over 5 %; refuses (GROUND-INTERSECTED) if no point has a
+    height. ``counts`` is the sum of `counts_of_points`, ``shares`` the `sigma_shares` of each file.
     """
     known_points = counts["points"] - counts["few"] - counts["narrow"] - counts["apart"]
     if known_points == 0:
@@ -305,17 +311,17 @@ def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger
             narrow=counts["narrow"],
             apart=counts["apart"],
         )
-    share = float(np.median(np.concatenate(shares)))
+    median_share = float(np.median(np.concatenate(shares)))
     ledger.add(
         messages.heights_intersected(
-            kind=Kind.LOSS if share > POOR_SIGMA else Kind.NOTE,
+            kind=Kind.LOSS if median_share > POOR_SIGMA else Kind.NOTE,
             where="ground.height",
             count=known_points,
             points=counts["points"],
             few=counts["few"],
             narrow=counts["narrow"],
             apart=counts["apart"],
-            percent=100.0 * share,
+            percent=100.0 * median_share,
         )
     )
 
@@ -323,11 +329,12 @@ def report_intersected(counts: Counter[str], shares: list[Array], ledger: Ledger
 def heights_of_rays(
     rays: NDArray[np.void], setup: CorrectionSetup, stations: Stations, orientations: Orientations
 ) -> tuple[Array, PointHeights]:
-    """(n,) height above sea level of the point of each ray, and the points as intersected.
+    """(n,) height above sea level of the point of each ray, and the intersected points.
 
-    Measured rays are bent by air and window. They are intersected twice: as measured, which gives
-    the heights with which refraction is removed from the pixels, and then without refraction. If
-    the mission applies refraction, its pixels have none yet, and the first intersection holds.
+    Measured rays are bent by air and window. Therefore they are intersected twice: as measured,
+    for approximate heights with which refraction is removed from the pixels; then without
+    refraction. If the mission applies refraction, its pixels have none yet, and the first
+    intersection is the result. ``rays`` (n,) are records of `RAY`.
     """
     station = rays["station"]
     x_px = rays["x"]
@@ -335,6 +342,7 @@ def heights_of_rays(
     undulation = np.nan_to_num(stations.h_ellipsoid_m - stations.h_msl_m)[station]
 
     def intersected(pixel_x: Array, pixel_y: Array) -> tuple[Array, PointHeights]:
+        """Heights above sea level (n,) and points, by the rays through some pixels."""
         direction, sigma_rad = setup.directions(pixel_x, pixel_y, station)
         image_rays = ImageRays(station, rays["point"], direction, sigma_rad)
         points = point_heights(orientations, image_rays)  # above the ellipsoid
@@ -353,7 +361,7 @@ def heights_of_rays(
 def straight_pixels(
     x_px: Array, y_px: Array, h_msl: Array, station: Integers, setup: CorrectionSetup
 ) -> tuple[Array, Array]:
-    """(n,) x and y [px] without the refraction of the rays to points at some heights [m]."""
+    """(n,) x and y [px] without refraction, for rays to points at heights ``h_msl`` (n,) [m]."""
     straight_x = x_px.copy()
     straight_y = y_px.copy()
     for rows, camera, profile in setup.groups(station):

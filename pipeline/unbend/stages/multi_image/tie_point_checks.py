@@ -1,4 +1,4 @@
-"""The user's own tie points against stations, cameras, mounts, times and heights of a mission."""
+"""Tie points compared with stations, cameras, mounts, times and heights of a mission."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from unbend.tables.tie_points import TiePoints, tie_rays
 from unbend.units import Array, Mask, Names
 
 FEWEST_TIE_POINTS = 10
-FEET_IN_METRES_TOO_MUCH = 1.0 - 0.3048  # of heights in feet that were taken for metres
-# Residuals over their sigmas when all findings are mended: beyond the first the findings explain a
-# part of the residuals only, beyond the second they do not explain them.
+TOO_MUCH_IN_FEET = 1.0 - 0.3048  # share of a number in feet, if it is taken for metres
+# Residuals over their sigmas when all findings are corrected: beyond the first, the findings
+# explain only a part of the residuals; beyond the second, they do not explain them.
 PART_FACTOR = 1.5
 POOR_FACTOR = 5.0
 TERRAIN_FITS = 0.2  # of the points' relief: a smaller scatter about a model means that it fits
 FLAT = 0.002  # of the flying height: a smaller scatter about a model is not judged
-FAR_BETTER = 0.5  # of the scatter: less than this in another order speaks for that order
-PANE_RAD = 1e-4  # sigma of what a window bends, which stays in the rays
-MOST_MEET = 0.5  # share of the points whose rays meet at least where nothing is wrong
-SMALLEST_SHOWN_PX = 0.001  # a tenth of what points in images are measured to, at best
+FAR_BETTER = 0.5  # of the scatter: less than this in another order is evidence for that order
+PANE_RAD = 1e-4  # sigma for the refraction of a window, which is not removed from the rays
+MOST_MEET = 0.5  # share of the points whose rays meet at least if nothing is wrong
+SMALLEST_SHOWN_PX = 0.001  # a tenth of the best accuracy of a measured pixel
 MOST_WORST_IMAGES = 3  # that a finding names
 
 TO_CHANGE = {
@@ -51,16 +51,17 @@ TO_CHANGE = {
     "TIES-PIXELS": "{}: x_px, y_px",
     "TIES-CAMERAS": "image or channel of both cameras under events, or their names under cameras",
 }
-"""What to change, by the code of a finding. For other codes that is the key of the finding."""
+"""What to change, by the code of a finding; {} is its key. For other codes it is the key alone."""
 
 
 @dataclass(frozen=True, eq=False)
 class TieEvidence:
-    """Tie points, the stations of a mission, and the ground heights that the mission states.
+    """Tie points, and what they are compared with: stations, cameras and ground of a mission.
 
-    terrain : the elevation model, if the mission has one.
-    later : gives the stations of the same exposures, in the same rows, as if they had been some
-        seconds later; None where the stations are not those of events.
+    stations : (s,) stations of all images.
+    terrain : the elevation model; None without one.
+    later : makes the stations of the same exposures, in the same rows, as if these had been some
+        seconds later; None if the stations are not those of events.
     """
 
     mission: Mission
@@ -72,7 +73,7 @@ class TieEvidence:
 
     @cached_property
     def offset_m(self) -> Array:
-        """(s,) what to add to stated ground heights to have them above sea level [m]."""
+        """(s,) what to add to stated ground heights [m] to get heights above sea level."""
         reference = self.mission.ground.reference_of_values
         return ground_offsets(reference, self.stations, self.heights)
 
@@ -80,27 +81,27 @@ class TieEvidence:
     def undulation_m(self) -> Array:
         """(s,) undulation at the stations [m], ellipsoidal height minus height above sea level.
 
-        0 where only one of the two heights of a station is known.
+        0 if only one of these two heights of a station is known.
         """
         return np.nan_to_num(self.stations.h_ellipsoid_m - self.stations.h_msl_m)
 
     def orientations(self, seconds: float = 0.0) -> Orientations:
-        """Position and attitude of the stations, or of the same stations some ``seconds`` later.
+        """Position and attitude of the stations, as if the exposures were ``seconds`` later.
 
-        Stations that are not ok now have no orientation later either. Without `later` the
-        ``seconds`` are of no effect.
+        Only stations that are ok have an orientation. Without `later` the ``seconds`` have no
+        effect.
         """
         stations = self.stations if self.later is None else self.later(seconds)
         stations = stations.with_status(~self.stations.ok, "suspect")
         return orientations_of_mission(self.mission, stations)
 
     def rays(self, cameras: Mapping[str, Camera], axes: Mapping[str, str]) -> ImageRays:
-        """The apparent rays of tie points, with the stated ground heights above the ellipsoid.
+        """The measured rays of tie points, with the stated ground heights above the ellipsoid.
 
-        ``cameras`` are the interior orientations; ``axes`` say, by camera, whether pixels have
-        other axes than stated, as for `tie_rays`. Tie points without heights have the one height
-        of the mission; NaN without that. Rays through a window are less certain, because what the
-        window bends is not removed.
+        ``cameras`` are the interior orientations; ``axes`` gives, by camera, other axes of the
+        pixels than stated, as for `tie_rays`. If no tie point has a height, all have the constant
+        height of the mission, or NaN without one. Rays through a window have larger sigmas, because
+        its refraction is not removed.
         """
         stations = self.stations
         sections = self.mission.cameras
@@ -117,31 +118,29 @@ class TieEvidence:
         )
 
     def pixel_rad(self, rays: ImageRays) -> float:
-        """The angle of a pixel [rad], the median of rays.
-
-        It is not their sigma, which is larger behind a window.
-        """
+        """The angle of one pixel [rad] at the principal point: the median over ``rays``."""
         cameras = self.mission.interior_orientations
         names = self.stations.camera[rays.image]
         focal_px = np.array([cameras[name].fx_px for name in names])
         return float(1.0 / np.median(focal_px))
 
     def on_terrain(self, model: ElevationModel) -> tuple[TieEvidence, str]:
-        """The evidence with the model's heights at the points where rays meet as stated heights.
+        """The evidence with heights of the elevation model as the ground heights of tie points.
 
-        Also whether the model fits better in another order, as `model_in_other_order` says. Rays
-        are straightened by the heights at which they meet, not by given ones.
+        They are heights of the model where the rays of each point meet. Also returns in words
+        whether the model fits better in another order (`model_in_other_order`). The refraction of
+        the rays is removed for the heights at which they meet, not for stated heights.
         """
         orientations = self.orientations()
         rays = self.rays(self.mission.interior_orientations, {})
         straight_rays = straightened(orientations, replace(rays, height_m=None))
         points = point_heights(orientations, straight_rays)
-        met = np.isfinite(points.h_m)  # of the distinct points, in the order of their numbers
-        latitude, longitude, point_m = geodetic_of_ecef(*points.position_m[met].T)
+        has_met = np.isfinite(points.h_m)  # of the distinct points, in the order of their numbers
+        latitude, longitude, point_m = geodetic_of_ecef(*points.position_m[has_met].T)
         row, column = model.nodes(latitude, longitude)
         model_m = model.heights(row, column)
         ground_of_point = np.full(self.ties.point.max() + 1, np.nan)
-        ground_of_point[np.unique(rays.point)[met]] = model_m
+        ground_of_point[np.unique(rays.point)[has_met]] = model_m
         ties = replace(self.ties, ground=ground_of_point[self.ties.point])
         station_m = self.stations.h_msl_m[self.stations.ok]
         reordered = model_in_other_order(
@@ -150,10 +149,10 @@ class TieEvidence:
         return replace(self, ties=ties), reordered
 
     def other_heights_m(self, rays: ImageRays) -> dict[str, float]:
-        """How far stations lie too low above the ground [m], for each way to misread heights.
+        """By how much stations are too low above the ground [m] if heights are misread.
 
-        The ways are in words. Ground that is taken for too high makes stations too low; stations
-        that are taken for too high make it negative.
+        For each mistake in words. Positive if it makes the ground too high or the stations too low,
+        else negative; NaN if unknown.
         """
         undulation_m = float(np.nanmedian(self.undulation_m))
         offset_m = float(np.nanmedian(self.offset_m))
@@ -162,14 +161,15 @@ class TieEvidence:
             given_m = rays.height_m[np.isfinite(rays.height_m)]
             ground_m = float(np.median(given_m)) - undulation_m - offset_m
         station_m = float(np.nanmedian(self.stations.h_msl_m[self.stations.ok]))
-        home_m = self.heights.home_h_msl_m or 0.0  # 0 explains nothing: so an unknown one counts
-        too_much = FEET_IN_METRES_TOO_MUCH
+        home_m = (
+            self.heights.home_h_msl_m or 0.0
+        )  # 0 if unknown: that mistake explains nothing then
         return {
             "heights above the ellipsoid were read as heights above sea level": -undulation_m,
             "heights above sea level were read as heights above the ellipsoid": undulation_m,
             "heights above sea level were read as heights above the take-off": offset_m,
-            "heights of the ground in feet were read as metres": too_much * ground_m,
-            "heights of the stations in feet were read as metres": -too_much * station_m,
+            "heights of the ground in feet were read as metres": TOO_MUCH_IN_FEET * ground_m,
+            "heights of the stations in feet were read as metres": -TOO_MUCH_IN_FEET * station_m,
             "heights above the take-off were read as heights above sea level": -home_m,
         }
 
@@ -185,9 +185,9 @@ def model_in_other_order(
 ) -> str:
     """How much better a model fits points with its rows or columns reversed or exchanged, in words.
 
-    ``point_m`` (n,) are heights of points in the cells (``row``, ``column``), ``model_m`` (n,) of
-    the model in these cells, ``station_m`` of the stations. Empty if the model fits as it is, if it
-    is off by too little to judge, or if it fits hardly better in another order.
+    ``point_m`` (n,) are heights of the points in the cells ``row``, ``column`` (n,), ``model_m``
+    (n,) those of the model there, ``station_m`` (s,) those of the stations. Empty if the model fits
+    as it is, if it is off by too little to judge, or if no other order fits far better.
     """
     scatter_m = scatter_of(model_m - point_m)
     if not np.isfinite(scatter_m) or scatter_m <= TERRAIN_FITS * scatter_of(point_m):
@@ -199,10 +199,10 @@ def model_in_other_order(
     size = np.array(model.size)[:, None]
     best_m = np.inf
     orders = list(product((False, True), repeat=3))  # exchanged, rows reversed, columns reversed
-    for is_exchanged, *is_reversed in orders[1:]:  # the first, all False, is the order it has
-        in_order = cell[::-1] if is_exchanged else cell
-        in_order = np.where(np.array(is_reversed)[:, None], size - 1 - in_order, in_order)
-        best_m = min(best_m, scatter_of(model.heights(*in_order) - point_m))
+    for is_exchanged, *is_reversed in orders[1:]:  # the first, all False, is the stated order
+        other_cell = cell[::-1] if is_exchanged else cell
+        other_cell = np.where(np.array(is_reversed)[:, None], size - 1 - other_cell, other_cell)
+        best_m = min(best_m, scatter_of(model.heights(*other_cell) - point_m))
     if best_m >= FAR_BETTER * scatter_m:
         return ""
     return (
@@ -214,9 +214,9 @@ def model_in_other_order(
 def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
     """Add a finding for each part of the mission file that tie points contradict.
 
-    That is done only if these findings together explain how far the rays miss each other. If they
-    do not, `report_misses` adds one finding of how far the rays miss, with what would explain a
-    part of that. Nothing is checked with fewer than ten tie points in usable images.
+    Only if these findings together explain how far the rays miss each other. Else `report_misses`
+    adds one finding of how far the rays miss, which lists them as partial explanations. Nothing is
+    checked with fewer than ten tie points in usable images.
     """
     cameras = evidence.mission.interior_orientations
     stations = evidence.stations
@@ -238,14 +238,14 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
             sigma_factor=intersection.sigma_factor,
         )
         findings = (*findings, of_model)
-    # The factor of a finding holds when that one and all before are mended; of the last, when all.
+    # The factor of each finding is that after correcting it and all before; of the last, after all.
     is_explained = bool(findings) and findings[-1].sigma_factor < POOR_FACTOR
     if is_explained:
         remaining = findings[-1].sigma_factor
         count = intersection.point.size
         for finding in findings:
             ledger.add(message_with_change(evidence.mission, finding, remaining, count=count))
-    nearest = "; ".join(f"{described(finding)} ({finding.key})" for finding in findings)
+    explanations = "; ".join(f"{mistake_in_words(finding)} ({finding.key})" for finding in findings)
     report_misses(
         stations,
         intersection,
@@ -254,18 +254,18 @@ def check_tie_points(evidence: TieEvidence, ledger: Ledger) -> None:
         pixel_rad=evidence.pixel_rad(rays),
         oriented=evidence.mission.stations.orientation is not None,
         explained=is_explained,
-        nearest=nearest,
+        explanations=explanations,
     )
 
 
 def stated_mission(evidence: TieEvidence, rays: ImageRays) -> StatedMission:
-    """What the mission file states of all that tie points may contradict.
+    """What the mission file states, as far as tie points can contradict it.
 
-    Mounts count unless a table gives the angles of the cameras themselves.
+    Without mounts, if a table gives the attitudes of the cameras themselves.
     """
     mission = evidence.mission
-    oriented = mission.stations.orientation
-    turned_by_mounts = oriented is None or oriented.angles == "roll_pitch_yaw"
+    orientation = mission.stations.orientation
+    has_mounts = orientation is None or orientation.angles == "roll_pitch_yaw"
     later = None
     if evidence.later is not None:
         later = lru_cache(8)(evidence.orientations)  # the same few delays are asked for again
@@ -273,7 +273,7 @@ def stated_mission(evidence: TieEvidence, rays: ImageRays) -> StatedMission:
         orientations=evidence.orientations(),
         cameras=mission.interior_orientations,
         rays=evidence.rays,
-        mounts=mission.mounts if turned_by_mounts else {},
+        mounts=mission.mounts if has_mounts else {},
         shifted=later,
         sigma_heights_m=mission.ground.sigma_m or 0.0,
         other_heights_m=evidence.other_heights_m(rays),
@@ -284,16 +284,27 @@ def stated_mission(evidence: TieEvidence, rays: ImageRays) -> StatedMission:
 def message_with_change(
     mission: Mission, finding: Finding, sigma_factor: float, *, count: int
 ) -> Message:
-    """The message of a finding and what to change; first of all the flight, where it is another."""
-    named = finding
+    """The message of a finding by ``count`` tie points, with what to change.
+
+    ``sigma_factor`` : residuals over their sigmas when all findings are corrected. The message
+    first names another flight as the cause, if `is_of_another_flight`.
+    """
     change = what_to_change(mission, finding)
     if is_of_another_flight(finding, sigma_factor):
-        named, change = of_another_flight(mission, finding, change)
-    return message_of_finding(named, sigma_factor, count=count, change=change)
+        finding, change = of_another_flight(mission, finding, change)
+    return messages.ties_contradict(
+        code=finding.code,
+        where=finding.key,
+        count=count,
+        mistake=mistake_in_words(finding),
+        decades=float(finding.log_ratio / np.log(10.0)),
+        change=change,
+        residual=float(sigma_factor) if sigma_factor > PART_FACTOR else None,
+    )
 
 
 def what_to_change(mission: Mission, finding: Finding) -> str:
-    """What to change in the mission file, or in the table of observations, by a finding."""
+    """What to change for a finding: keys of the mission file, or columns of the observations."""
     if finding.code == "TIES-PIXELS" and finding.label == "upward":
         axes = " and ".join(flipped_axes(mission, finding.cameras))
         has_pixels = mission.observations.unit == "px"
@@ -302,12 +313,16 @@ def what_to_change(mission: Mission, finding: Finding) -> str:
 
 
 def is_of_another_flight(finding: Finding, sigma_factor: float) -> bool:
-    """Whether heights differ by more than datums do, and rays then still do not meet well."""
+    """Whether the stations are likely of another flight than the observations.
+
+    They are if heights differ by more than datums do, and the rays do not meet well even after the
+    correction of all findings (``sigma_factor``: residuals over their sigmas then).
+    """
     return finding.beyond_datums and sigma_factor > PART_FACTOR
 
 
 def of_another_flight(mission: Mission, finding: Finding, change: str) -> tuple[Finding, str]:
-    """A finding and what to ``change``, with stations of another flight as the first cause."""
+    """The finding and what to ``change``, in words, with another flight as the first cause."""
     key = "log.path"
     if mission.stations.trajectory is not None:
         key = "stations.trajectory.path"
@@ -319,46 +334,29 @@ def of_another_flight(mission: Mission, finding: Finding, change: str) -> tuple[
 
 
 def flipped_axes(mission: Mission, cameras: Sequence[str]) -> list[str]:
-    """What turns the axis y of the coordinates of ``cameras`` to the other direction, in words.
+    """How to turn the y axis of the coordinates of ``cameras`` to the other direction, in words.
 
-    Coordinates in millimetres have a key for their axes. For pixels no key does it.
+    For coordinates in millimetres it is a key. For pixels, which have no such key, it is a formula
+    for the column of y, for each height of images.
     """
     section = mission.observations
     if section.unit != "px":
         return [f"cameras.{name}.metric.axes" for name in cameras]
-    cameras_of_size: dict[int, list[str]] = {}
+    cameras_of_height: dict[int, list[str]] = {}
     for name in cameras:
-        size_px = mission.interior_orientations[name].height_px
-        cameras_of_size.setdefault(size_px, []).append(name)
+        height_px = mission.interior_orientations[name].height_px
+        cameras_of_height.setdefault(height_px, []).append(name)
     column = section.columns.y_px
     changes = []
-    for size_px, names in cameras_of_size.items():
-        # Where the first pixel has the number 0, the last has that of their count less 1.
-        largest_px = size_px - 1 if section.pixel_origin == "centre" else size_px
+    for height_px, names in cameras_of_height.items():
+        # If the centre of the first pixel is 0, that of the last is the count of pixels less 1.
+        largest_px = height_px - 1 if section.pixel_origin == "centre" else height_px
         changes.append(f"{column} of {', '.join(names)} to {largest_px} - {column}")
     return changes
 
 
-def message_of_finding(
-    finding: Finding, sigma_factor: float, *, count: int, change: str
-) -> Message:
-    """The message of a finding by ``count`` tie points, with what to ``change``.
-
-    ``sigma_factor`` is how far residuals exceed their sigmas when all findings are mended.
-    """
-    return messages.ties_contradict(
-        code=finding.code,
-        where=finding.key,
-        count=count,
-        mistake=described(finding),
-        decades=float(finding.log_ratio / np.log(10.0)),
-        change=change,
-        residual=float(sigma_factor) if sigma_factor > PART_FACTOR else None,
-    )
-
-
-def described(finding: Finding) -> str:
-    """The mistake of a finding, with other mistakes that explain the tie points equally well."""
+def mistake_in_words(finding: Finding) -> str:
+    """The mistake of a finding, and other mistakes that explain the tie points equally well."""
     mistakes = "; or ".join((finding.what, *finding.also))
     if finding.also:
         return f"equally likely by the tie points: {mistakes}"
@@ -374,21 +372,21 @@ def report_misses(
     pixel_rad: float,
     oriented: bool,
     explained: bool,
-    nearest: str,
+    explanations: str,
 ) -> None:
-    """Add how far the rays of tie points miss each other to the ledger.
+    """Add to the ledger how far the rays of tie points miss each other.
 
-    * A note if findings have ``explained`` the misses.
-    * A note if the rays meet, and nothing was found.
-    * Else a finding, with the worst cameras and images.
+    A note if other findings have ``explained`` the misses, or if the rays meet and there are no
+    ``explanations``; else a finding, with the worst cameras and images.
 
-    ``nearest`` lists in words what was found, and is empty if that is nothing. ``oriented`` says
-    whether the stations are those of a table. ``pixel_rad`` is the angle of a pixel.
+    pixel_rad : the angle of one pixel.
+    oriented : the stations are those of a table of orientations.
+    explanations : mistakes that explain a part of the misses, in words; empty without any.
     """
     point_of_ray = np.searchsorted(intersection.point, rays.point)
     miss_rad = np.sqrt(np.mean(intersection.residual_rad**2, axis=1))
-    # A point is judged if it has a place, if its rays cross at an angle at which it would have a
-    # place if they met, or if some of its rays contradict the others.
+    # A point is judged if it has a place, if its rays cross at a sufficient angle for a place, or
+    # if some of its rays contradict the others.
     is_judged = intersection.used | (intersection.angle_rad >= MINIMUM_ANGLE_RAD)
     is_judged[point_of_ray[intersection.bad]] = True
     where = "stations.orientation.path" if oriented else "stations"
@@ -396,8 +394,8 @@ def report_misses(
     misses = describe_misses(intersection, miss_rad, pixel_rad)
     most_meet = intersection.used.sum() >= MOST_MEET * is_judged.sum()
     is_poor = intersection.sigma_factor > POOR_FACTOR  # False for NaN: nothing checks the rays
-    meets = most_meet and not is_poor
-    if explained or (meets and not nearest):
+    rays_meet = most_meet and not is_poor
+    if explained or (rays_meet and not explanations):
         ledger.add(messages.ties_miss(oriented=oriented, where=where, count=count, misses=misses))
         return
     line_m = intersection.position_m[point_of_ray] - intersection.orientations.centre_m[rays.image]
@@ -414,7 +412,7 @@ def report_misses(
         misses += f"; most of {', '.join(worst)}"
     ledger.add(
         messages.ties_do_not_meet(
-            oriented=oriented, where=where, count=count, misses=misses, nearest=nearest
+            oriented=oriented, where=where, count=count, misses=misses, nearest=explanations
         )
     )
 
@@ -424,7 +422,8 @@ class RaysMissed:
     """Rays of tie points, (r,) each, and how far they miss the other rays of their points.
 
     is_judged : the point of the ray has a place, or would have one if its rays met.
-    is_lost : the ray is of a judged point, but meets no other ray of it.
+    is_lost : the ray is of a judged point, but meets no other ray of this point.
+    miss_rad : distance from the point in the image, rms of x and y; NaN without a place.
     distance_m : from the camera to the point.
     """
 
@@ -453,7 +452,10 @@ class RaysMissed:
 
 
 def describe_misses(intersection: Intersection, miss_rad: Array, pixel_rad: float) -> str:
-    """How far the rays of tie points miss each other, in words."""
+    """How far the rays of tie points miss each other, in words.
+
+    ``miss_rad`` (r,) is how far each ray misses its point, ``pixel_rad`` the angle of one pixel.
+    """
     points = int(intersection.used.sum())
     count = intersection.point.size
     if not points:
@@ -471,7 +473,7 @@ def describe_misses(intersection: Intersection, miss_rad: Array, pixel_rad: floa
 
 
 def in_pixels(pixels: float) -> str:
-    """A distance in the image with two digits: refraction itself is often some 0.01 px.
+    """A distance in the image in words, with two digits below 1 px.
 
     >>> in_pixels(0.0314), in_pixels(12.34), in_pixels(0.0)
     ('0.031 px', '12.3 px', 'less than 0.001 px')
@@ -484,7 +486,10 @@ def in_pixels(pixels: float) -> str:
 
 
 def worst_images(stations: Stations, rays: ImageRays, lost: Mask) -> list[str]:
-    """At most three images, the worst first, by the share of their rays that are ``lost`` (r,)."""
+    """The three images with the largest share of lost rays, the worst first; none without any.
+
+    ``lost`` (r,) is True for rays that meet no other ray of their point.
+    """
     ray_count = np.bincount(rays.image, minlength=stations.image.size)
     lost_count = np.bincount(rays.image[lost], minlength=ray_count.size)
     share = lost_count / np.maximum(ray_count, 1)

@@ -13,15 +13,15 @@ from unbend.stages.plausibility import messages
 from unbend.stages.plausibility.facts import Facts
 from unbend.units import HECTOPASCAL
 
-SMALLEST_SHIFT_PX = 0.02  # of a window, halfway to a corner of the image: less cannot be measured
-AT_CAMERAS = 1.01  # of the pressure at the lowest station: 80 m below it
+SMALLEST_SHIFT_PX = 0.02  # by a window, halfway to a corner of the image: less is not measured
+AT_CAMERAS = 1.01  # outside over the lowest station's pressure, at most: from 80 m below it upwards
 
 
 def windows_of_compartments(facts: Facts) -> Iterator[Message]:
-    """Cameras with a window, or the statement that they have none, if the log has a compartment.
+    """A finding if the log shows a closed compartment, and cameras have no statement of a window.
 
-    No finding where the window would not shift points measurably. Another rule (`windows`) has the
-    missions that name the barometer of the cabin.
+    At most one finding, on the first compartment with a window that would shift points measurably.
+    Nothing is compared in missions that name the barometer of the cabin: the rule `windows` does.
     """
     mission = facts.mission
     if mission.log is None or mission.log.channels.cabin_pressure is not None:
@@ -29,9 +29,9 @@ def windows_of_compartments(facts: Facts) -> Iterator[Message]:
     cameras = cameras_of_unstated_window(mission)
     if mission.windows or not cameras or facts.height is None:
         return
-    named = mission.log.channels.named().get("pressure")
+    outside_channel = mission.log.channels.named().get("pressure")
     for compartment in closed_compartments(facts.channels, facts.height):
-        if named is not None and named.name == compartment.barometer:
+        if outside_channel is not None and outside_channel.name == compartment.barometer:
             continue  # the mission file states that this barometer is outside
         finding = window_of_compartment(facts, compartment, cameras)
         if finding is not None:
@@ -42,7 +42,11 @@ def windows_of_compartments(facts: Facts) -> Iterator[Message]:
 def window_of_compartment(
     facts: Facts, compartment: Compartment, cameras: tuple[str, ...]
 ) -> Message | None:
-    """The finding on one compartment; None if a window of it would shift points too little."""
+    """The finding that ``cameras`` in a closed compartment need a window.
+
+    None if a window would shift points too little to be measured, or if the compartment has no
+    pressure at the height of the cameras.
+    """
     profile = facts.adjustment.profile
     heights_m = facts.exposures.height_m[facts.stations.ok]
     heights_m = heights_m[np.isfinite(heights_m)]
@@ -50,13 +54,14 @@ def window_of_compartment(
         return None
     height_m = float(np.median(heights_m))
     lowest_station_pa = float(profile.pressure(np.min(heights_m)))
-    at_cameras = compartment.outside_pa < AT_CAMERAS * lowest_station_pa
-    if not at_cameras.any():
+    is_at_cameras = compartment.outside_pa < AT_CAMERAS * lowest_station_pa
+    if not is_at_cameras.any():
         return None
-    inside_pa = float(np.median(compartment.inside_pa[at_cameras]))
-    inside = float(profile.index.refractivity(USUAL_TEMPERATURE_K, inside_pa, 0.0))
-    outside = float(profile.refractivity(height_m))
-    shift_px = abs(inside - outside) * halfway_to_corner_px(facts, cameras)
+    inside_pa = float(np.median(compartment.inside_pa[is_at_cameras]))
+    refractivity_inside = float(profile.index.refractivity(USUAL_TEMPERATURE_K, inside_pa, 0.0))
+    refractivity_outside = float(profile.refractivity(height_m))
+    difference = abs(refractivity_inside - refractivity_outside)
+    shift_px = difference * halfway_to_corner_px(facts, cameras)
     if shift_px < SMALLEST_SHIFT_PX:
         return None
     keys = [f"cameras.{name}.window" for name in cameras]
@@ -70,10 +75,10 @@ def window_of_compartment(
 
 
 def halfway_to_corner_px(facts: Facts, cameras: tuple[str, ...]) -> float:
-    """Half of the longest half diagonal of the images of some cameras [px].
+    """Distance from the centre of an image halfway to its corner [px], the largest of ``cameras``.
 
-    That is f tan(theta) of a ray there: a window shifts it by so many times the difference of the
-    indices.
+    It is f tan(theta) of the ray that is imaged there. A window shifts that image point by the
+    distance times the difference of the refractive indices inside and outside.
     """
     lengths_px = []
     for name in cameras:

@@ -20,87 +20,95 @@ KEYS_OF_STATIONS = {
     "unmatched": "image under events, observations.columns.image",
     "outside_log": "log.path; time_utc, gps_week or gps_seconds of events.csv.columns; delay_s",
 }
-"""Keys to look at by the status of stations; the log's for others."""
+"""Keys to look at, by the status of stations; for other statuses they are those under log."""
 
 MOUNT = "angles of mount"
-NOTHING_KNOWN: Mapping[str, str] = MappingProxyType({})
-SAME_ROWS = ("PLAUSIBLE-EXTENT", "PLAUSIBLE-SENSORS")
-"""Codes of findings of which all rows of a status follow: they are one message then, not two."""
+NO_FINDINGS: Mapping[str, str] = MappingProxyType({})
+FINDINGS_OF_SAME_ROWS = ("PLAUSIBLE-EXTENT", "PLAUSIBLE-SENSORS")
+"""Codes of findings about all rows of the status that they cause: it needs no second message."""
 
 
-def causes_of_statuses(facts: Facts, known: Mapping[str, str] = NOTHING_KNOWN) -> dict[str, str]:
-    """A likely cause of each status that flags rows, with the keys to look at.
+def causes_of_statuses(
+    facts: Facts, causing_findings: Mapping[str, str] = NO_FINDINGS
+) -> dict[str, str]:
+    """A likely cause of each status that flags rows, in words, with the keys to look at.
 
-    Two statuses, whose causes have to be computed, have an entry only if a sampled row has them.
-    ``known`` : by status the code of a finding that is probably its cause, instead of the keys.
+    ``causing_findings`` : by status the code of a finding that is probably its cause; the text
+    names it instead of the keys. The statuses misses_ground and outside_camera have an entry only
+    if a sampled row has them, because their causes are computed from such rows.
     """
     columns = facts.mission.observations.columns
-    height = "no height is known"
+    height_text = "no height is known"
     if facts.mission.ground.column is not None:
-        height = f"column {facts.mission.ground.column} is empty or not a height there"
+        height_text = f"column {facts.mission.ground.column} is empty or not a height there"
+    grazing_hint = what_to_check("beyond_grazing", MOUNT, causing_findings)
     causes = {
         "no_station": cause_of_missing_stations(facts),
-        "no_ground": f"{height} (ground.height)",
+        "no_ground": f"{height_text} (ground.height)",
         "bad_measurement": (
             f"{columns.x_px} or {columns.y_px} is empty or not a number (observations.columns)"
         ),
         "outside_profile": "their rays leave the profile of the air (ground.height)",
-        "beyond_grazing": f"their rays graze the ground ({hint('beyond_grazing', MOUNT, known)})",
+        "beyond_grazing": f"their rays graze the ground ({grazing_hint})",
     }
     if bool((facts.rows.status == MISSES_GROUND).any()):
         keys = f"{MOUNT}, f_px of the camera"
-        causes["misses_ground"] = cause_of_misses(facts, hint("misses_ground", keys, known))
+        ray_hint = what_to_check("misses_ground", keys, causing_findings)
+        causes["misses_ground"] = cause_of_misses(facts, ray_hint)
     outside = facts.rows.status == OUTSIDE_CAMERA
     if bool(outside.any()):
         causes["outside_camera"] = cause_of_outside(facts, outside)
     return causes
 
 
-def hint(status: str, keys: str, known: Mapping[str, str]) -> str:
-    """What to look at for a status: the finding that is its known cause, else the keys."""
-    if status in known:
-        return f"probably because of {known[status]}"
+def what_to_check(status: str, keys: str, causing_findings: Mapping[str, str]) -> str:
+    """What to look at for a status: the code of the finding that causes it, else ``keys``."""
+    if status in causing_findings:
+        return f"probably because of {causing_findings[status]}"
     return keys
 
 
 def statuses_explained(
-    facts: Facts, ledger: Ledger, known: Mapping[str, str] = NOTHING_KNOWN
+    facts: Facts, ledger: Ledger, causing_findings: Mapping[str, str] = NO_FINDINGS
 ) -> frozenset[str]:
-    """Statuses of rows that follow from losses or findings which the ledger has already.
+    """Statuses of rows that need no loss of their own, because the ledger has their cause.
 
-    Rows without a station do, if there is a loss for each reason why images have no station. They
-    are one loss then, not two. So do those whose ``known`` cause is a finding about the very same
-    rows, as that of pixels outside the image.
+    * Statuses with a finding about the very same rows among the ``causing_findings`` (by status),
+      as that of pixels outside the image.
+    * no_station, if the ledger has a loss for each reason for which images have no station.
     """
-    by_findings = {status for status, code in known.items() if code in SAME_ROWS}
-    needed = set()
+    explained = set()
+    for status, code in causing_findings.items():
+        if code in FINDINGS_OF_SAME_ROWS:
+            explained.add(status)
+    needed_losses = set()
     for status in facts.stations.status[~facts.stations.ok]:
-        needed.add("IMAGES-UNMATCHED" if status == UNMATCHED else "STATIONS-FLAGGED")
+        needed_losses.add("IMAGES-UNMATCHED" if status == UNMATCHED else "STATIONS-FLAGGED")
     losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
-    if needed and needed <= losses:
-        by_findings.add("no_station")
-    return frozenset(by_findings)
+    if needed_losses and needed_losses <= losses:
+        explained.add("no_station")
+    return frozenset(explained)
 
 
 def cause_of_missing_stations(facts: Facts) -> str:
-    """How many stations have each status but ok, with the keys to look at.
+    """Why rows have no station: the count of each status of stations that are not ok, with keys.
 
-    Where all stations are ok, rows without one have no name of an image.
+    If all stations are ok, the name of the image is missing in these rows.
     """
     counts = Counter(facts.stations.status[~facts.stations.ok].tolist())
     if not counts:
         return "the name of the image is missing (observations.columns.image)"
-    listed = []
+    counts_in_words = []
     for status, count in counts.items():
         keys = KEYS_OF_STATIONS.get(status, "log")
-        listed.append(f"{count} {status} ({keys})")
-    return f"their stations: {', '.join(listed)}"
+        counts_in_words.append(f"{count} {status} ({keys})")
+    return f"their stations: {', '.join(counts_in_words)}"
 
 
-def cause_of_misses(facts: Facts, of_rays: str) -> str:
-    """Why rays miss the ground: the ground lies above the camera, or rays pass the horizon.
+def cause_of_misses(facts: Facts, ray_hint: str) -> str:
+    """Why rays miss the ground: it is above the camera, or the rays point above the horizon.
 
-    ``of_rays`` : what to look at in the second case.
+    ``ray_hint`` : what to check for rays above the horizon.
     """
     rows = facts.rows.status == MISSES_GROUND
     ground_above_camera_m = (facts.rows.h_g_m - facts.camera_height_m)[rows]
@@ -109,27 +117,28 @@ def cause_of_misses(facts: Facts, of_rays: str) -> str:
     causes = []
     if not ground_is_below.all():
         too_high_m = ground_above_camera_m[~ground_is_below]
-        most_m = np.max(too_high_m)
+        highest_m = np.max(too_high_m)
         causes.append(
-            f"the ground is up to {most_m:.0f} m above the camera (ground.height, ground.reference)"
+            f"the ground is up to {highest_m:.0f} m above the camera "
+            "(ground.height, ground.reference)"
         )
     if ground_is_below.any():
-        # From the centre of a sphere through the ground.
+        # Distance of the camera from the centre of a sphere through the ground.
         camera_radius_m = EARTH_RADIUS_M - ground_above_camera_m[ground_is_below]
         dip_of_horizon_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)
-        beyond_deg = np.degrees(nadir_angle_rad[ground_is_below] + dip_of_horizon_rad) - 90.0
-        causes.append(
-            f"rays point up to {np.nanmax(beyond_deg):.1f} deg above the horizon ({of_rays})"
-        )
+        # The horizon is 90 deg less its dip from the nadir.
+        above_horizon_deg = np.degrees(nadir_angle_rad[ground_is_below] + dip_of_horizon_rad) - 90.0
+        highest_deg = np.nanmax(above_horizon_deg)
+        causes.append(f"rays point up to {highest_deg:.1f} deg above the horizon ({ray_hint})")
     return "; ".join(causes)
 
 
 def cause_of_outside(facts: Facts, outside: Mask) -> str:
-    """Why pixels are outside a camera.
+    """Why rows (n,) have the status outside_camera, where ``outside`` is True.
 
-    They are beyond the image or beyond what the distortion allows, their rays do not pass the
-    window, or refraction, where it is applied, displaces them out of the image. Every cause that
-    explains a pixel is named, camera by camera. ``outside`` (n,) is True for such pixels.
+    Their pixels are beyond the image, or beyond the radius at which the distortion can be inverted;
+    their rays do not pass the window; or refraction, where it is applied, moves them out of the
+    image. Each cause that explains a row is named, camera by camera.
     """
     causes = []
     for name in np.unique(facts.camera[outside]).tolist():
@@ -141,13 +150,14 @@ def cause_of_outside(facts: Facts, outside: Mask) -> str:
         beyond_format = (x < 0) | (y < 0) | (x > camera.width_px) | (y > camera.height_px)
         u, v, is_covered = camera.rays(x, y)
         is_blocked = is_covered & ~passes_window(facts.exposures, facts.rows.station[rows], u, v)
+        # No other cause remains for a ray that the camera covers and the window lets through.
         is_displaced = np.zeros(rows.size, dtype=bool)
         if facts.mission.refraction.direction == "apply":
             is_displaced = is_covered & ~is_blocked
         if beyond_format.any():
-            size = facts.key_of(name, of_numbers="width_px", of_metric="format_mm")
+            key = facts.key_of(name, pixel_key="width_px", metric_key="format_mm")
             causes.append(
-                f"outside {camera.width_px} x {camera.height_px} px ({size}; observations.columns)"
+                f"outside {camera.width_px} x {camera.height_px} px ({key}; observations.columns)"
             )
         if is_blocked.any():
             section = facts.mission.windows[name].section
@@ -159,7 +169,7 @@ def cause_of_outside(facts: Facts, outside: Mask) -> str:
                 f"refraction moves them out of the image of {name} (refraction.direction)"
             )
         if not (beyond_format | is_blocked | is_displaced).all():
-            key = facts.key_of(name, of_numbers="distortion", of_metric="distortion")
+            key = facts.key_of(name, pixel_key="distortion", metric_key="distortion")
             causes.append(
                 f"beyond the radius at which the distortion of {name} can be inverted ({key})"
             )
@@ -167,11 +177,12 @@ def cause_of_outside(facts: Facts, outside: Mask) -> str:
 
 
 def passes_window(exposures: Exposures, station: Integers, u: Array, v: Array) -> Mask:
-    """Whether rays (n,) go out through the plane window of their exposures, if there is one.
+    """Whether rays (n,) pass the plane window of their exposure; True if there is no window.
 
-    ``station`` are rows of ``exposures``, ``u`` and ``v`` ideal image coordinates. A window
-    reflects a ray that meets it too flat, and a ray against its normal does not meet it: neither
-    has a refracted angle r_cc. Equal refractivities on both sides mean that no window bends rays.
+    ``station`` (n,) are rows of ``exposures``, ``u`` and ``v`` (n,) ideal image coordinates. The
+    refracted angle r_cc is NaN for a ray that meets the window too flat (total reflection), and for
+    a ray against its normal, which does not meet it. Equal refractivities on both sides mean that
+    no window bends the ray.
     """
     direction = np.stack([u, v, np.ones(u.size)], axis=1)
     direction = direction / np.linalg.norm(direction, axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""What the rules of plausibility look at."""
+"""The facts of a mission that the rules of plausibility look at."""
 
 import math
 from collections.abc import Mapping
@@ -24,13 +24,15 @@ from unbend.units import Array, Names
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What the rules look at: a mission, its stations, and rows that stand for all observations.
+    """A mission, its stations, its air, and a sample of its observations.
 
-    rows : the sampled observations, (n,) each.
+    stations, exposures : (s,) each.
+    rows : the sampled observations, (n,) each; they represent all observations.
     usual_air : the climatology of place and season.
-    takeoff, terrain : None where they are unknown.
-    channels, height : those of the log, and the one of the heights; () and None without a log.
-    logged_terrain_m : (s,) terrain below each station, as the autopilot logged it.
+    takeoff, terrain : the start of the log and the elevation model; None if there is none.
+    logged_terrain_m : (s,) height of the terrain below each station, as the autopilot logged it.
+    channels : all channels of the log; () without a log.
+    height : the channel with the heights of the flight; None without a log.
     """
 
     mission: Mission
@@ -48,7 +50,7 @@ class Facts:
 
     @cached_property
     def model_at_takeoff_m(self) -> float:
-        """The height of the elevation model where the log begins; NaN where unknown."""
+        """Height of the elevation model where the log begins [m above sea level]; NaN if none."""
         if self.takeoff is None or self.terrain is None:
             return math.nan
         latitude = np.array([self.takeoff.lat_rad])
@@ -58,7 +60,11 @@ class Facts:
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """Refraction between the median heights of camera and ground, beside the standard's."""
+        """R of a ray between the median heights of camera and ground, at some nadir angles.
+
+        Each has R in the estimated air and in the standard atmosphere. Empty if heights are unknown
+        or the ground is not below the camera.
+        """
         is_known = np.isfinite(self.camera_height_m - self.rows.h_g_m)
         if not is_known.any():
             return ()
@@ -69,7 +75,7 @@ class Facts:
 
     @cached_property
     def usual_factor(self) -> float:
-        """R in the usual air over that in the standard, between the same heights; 1 if unknown."""
+        """R in the usual air over R in the standard, for the first of `effects`; 1 if unknown."""
         if not self.effects:
             return 1.0
         effect = self.effects[0]
@@ -86,26 +92,28 @@ class Facts:
 
     @cached_property
     def camera(self) -> Names:
-        """(n,) the camera of each row; empty for a row without a station."""
+        """(n,) the name of the camera of each row; "" for a row without a station."""
+        # The last element is for rows without a station, whose number is -1.
         return np.append(self.stations.camera, "")[self.rows.station]
 
     @cached_property
     def camera_height_m(self) -> Array:
         """(n,) height of the camera above sea level [m]; NaN for a row without a station."""
+        # The last element is for rows without a station, whose number is -1.
         return np.append(self.exposures.height_m, np.nan)[self.rows.station]
 
     @cached_property
     def nadir_angle_rad(self) -> Array:
-        """(n,) nadir angle of the measured ray of each row, inside the window.
+        """(n,) nadir angle of the measured ray of each row [rad], on the camera's side of a window.
 
-        NaN for pixels outside the camera, and rows without a station.
+        NaN for pixels outside the camera, and for rows without a station.
         """
         angle = np.full(self.rows.station.size, np.nan)
         for name, camera in self.cameras.items():
             rows = np.flatnonzero((self.camera == name) & (self.rows.station >= 0))
             u, v, _ = camera.rays(self.rows.x_px[rows], self.rows.y_px[rows])
             station = self.rows.station[rows]
-            up = self.exposures.rotation[station, :, 2]
+            up = self.exposures.rotation[station, :, 2]  # the zenith in camera coordinates
             upward = up[:, 0] * u + up[:, 1] * v + up[:, 2]
             length = np.sqrt(u * u + v * v + 1.0)
             cosine = -upward / length
@@ -114,8 +122,8 @@ class Facts:
 
     def axis_deg(self, name: str) -> float:
         """The median nadir angle of a camera's axis [deg]; NaN without stations."""
-        stations = (self.stations.camera == name) & self.stations.ok
-        cosine = -self.exposures.rotation[stations, 2, 2]
+        is_usable = (self.stations.camera == name) & self.stations.ok
+        cosine = -self.exposures.rotation[is_usable, 2, 2]
         cosine = np.clip(cosine[np.isfinite(cosine)], -1.0, 1.0)
         if cosine.size == 0:
             return math.nan
@@ -123,32 +131,32 @@ class Facts:
         return float(np.degrees(np.median(angle_rad)))
 
     def of_camera(self, name: str, values: Array) -> Array:
-        """The finite ones of ``values`` (n,) in the rows of one camera."""
+        """Of ``values`` (n,) those that are finite and in rows of the camera ``name``."""
         values = values[self.camera == name]
         return np.asarray(values[np.isfinite(values)])
 
-    def key_of(self, name: str, *, of_numbers: str, of_metric: str) -> str:
-        """The key that states a part of a camera, for messages.
+    def key_of(self, name: str, *, pixel_key: str, metric_key: str) -> str:
+        """The key of the mission file that states a part of camera ``name``, for messages.
 
-        ``of_numbers`` is the key where the mission file gives the interior orientation in numbers
-        in pixels, ``of_metric`` under ``metric`` where it gives it in millimetres. A camera of
-        COLMAP's models has one key for all parts.
+        It is ``pixel_key`` where the mission file gives the interior orientation in pixels, and
+        ``metric_key`` (under metric) where it does so in millimetres. A camera of a COLMAP model
+        has one key for all parts.
         """
         section = self.mission.cameras[name]
-        if section.model is not None and of_numbers == "width_px":
+        if section.model is not None and pixel_key == "width_px":
             return f"cameras.{name}, width_px, params or file"
         if section.model is not None:
             return f"cameras.{name}, params or file"
         if section.metric is not None:
-            return f"cameras.{name}.metric.{of_metric}"
-        return f"cameras.{name}.{of_numbers}"
+            return f"cameras.{name}.metric.{metric_key}"
+        return f"cameras.{name}.{pixel_key}"
 
     def view_deg(self, name: str) -> float:
-        """The field of view over the diagonal [deg], as if without distortion."""
+        """The field of view of a camera over the diagonal [deg], as if without distortion."""
         camera = self.cameras[name]
         width = camera.width_px / camera.fx_px
         height = camera.height_px / camera.fy_px
-        half_diagonal = math.hypot(width, height) / 2.0
-        if is_fisheye(camera):  # equidistant: its corners often lie beyond its circle
+        half_diagonal = math.hypot(width, height) / 2.0  # in principal distances
+        if is_fisheye(camera):  # equidistant: the radius is the angle, not its tangent
             return 2.0 * math.degrees(half_diagonal)
         return 2.0 * math.degrees(math.atan(half_diagonal))

@@ -1,4 +1,4 @@
-"""The findings of all rules go into the ledger, and what the mission file accepts is accepted."""
+"""The findings of all rules: reported, accepted by the mission file, or held back for a cause."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence, Set
@@ -23,15 +23,16 @@ CAUSES_OF_ALL = frozenset(
         "PLAUSIBLE-DELAY",
     }
 )
-"""Codes of mistakes with which the rays of tie points do not meet, whatever else is wrong."""
+"""Codes of mistakes that make rays of tie points miss each other: they may cause any finding of
+tie points."""
 
 CAUSES_OF_HEIGHTS = frozenset({"PLAUSIBLE-GROUND", "PLAUSIBLE-TERRAIN"})
-"""Codes of mistakes with which the rays meet, at other heights than those of the ground."""
+"""Codes of mistakes with which rays meet, but not at the ground: they may cause `HEIGHT_TIES`."""
 
-OF_HEIGHTS = frozenset({"TIES-HEIGHT"})
-"""Codes of what tie points find where heights alone are wrong."""
+HEIGHT_TIES = frozenset({"TIES-HEIGHT"})
+"""Codes of findings of tie points that wrong heights alone can cause."""
 
-DECIDED_TIES = OF_HEIGHTS | frozenset(
+DECIDED_TIES = HEIGHT_TIES | frozenset(
     {
         "TIES-CALIBRATION",
         "TIES-CAMERAS",
@@ -46,17 +47,18 @@ DECIDED_TIES = OF_HEIGHTS | frozenset(
 UNDECIDED_TIES = frozenset({"TIES-RESIDUALS", "ORIENTATION-TIES"})
 """Codes of comparisons with tie points in which no single mistake explains how rays miss."""
 
-VERIFYING = UNDECIDED_TIES
-"""Codes by which one sees that tie points were compared, with an elevation model too; as notes."""
+CODES_OF_COMPARISON = UNDECIDED_TIES
+"""Codes that are in the ledger, at least as notes, if tie points were compared with the mission.
+With an elevation model they were compared with its heights too."""
 
-OF_RAYS = ("misses_ground", "beyond_grazing", "far_branch")
+STATUSES_OF_WRONG_RAYS = ("misses_ground", "beyond_grazing", "far_branch")
 """Statuses of rows whose rays have a wrong direction or place."""
 
 
 def report_findings(facts: Facts, ledger: Ledger) -> None:
     """Add the findings of all rules to the ledger.
 
-    Adds a warning (DEM-UNVERIFIED) if nothing in the mission could contradict its elevation model.
+    Also a warning (DEM-UNVERIFIED) if nothing in the mission can contradict its elevation model.
     """
     for rule in RULES:
         ledger.extend(rule(facts))
@@ -65,31 +67,32 @@ def report_findings(facts: Facts, ledger: Ledger) -> None:
         ledger.add(messages.model_unverified(where="ground.height.dem"))
 
 
-def known_causes(facts: Facts, ledger: Ledger) -> dict[str, str]:
-    """By status of rows the code of a finding that is probably its cause.
+def findings_causing_statuses(facts: Facts, ledger: Ledger) -> dict[str, str]:
+    """For statuses of rows the code of the finding that is probably the cause of the status.
 
-    Findings that the mission file accepts are no causes, nor are those of tie points that are held
-    back (`hold_back_ties`).
+    Several codes of tie points are listed in one text. Findings that the mission file accepts cause
+    nothing, nor do findings of tie points that will be held back (`hold_back_ties`).
     """
     codes = {entry.code for entry in ledger if entry.kind is Kind.FINDING}
     codes -= {accepted.code for accepted in facts.mission.accept}
-    known = {}
+    causing_findings = {}
     if "PLAUSIBLE-EXTENT" in codes:
-        known["outside_camera"] = "PLAUSIBLE-EXTENT"
+        causing_findings["outside_camera"] = "PLAUSIBLE-EXTENT"
     if "PLAUSIBLE-SENSORS" in codes and are_suspect_by_height(facts, ledger):
-        known["no_station"] = "PLAUSIBLE-SENSORS"
-    of_ties = codes & (DECIDED_TIES - consequences_in_ties(codes))
-    if of_ties:
-        listed = ", ".join(sorted(of_ties))
-        known.update(dict.fromkeys(OF_RAYS, listed))
-    return known
+        causing_findings["no_station"] = "PLAUSIBLE-SENSORS"
+    tie_codes = codes & (DECIDED_TIES - consequences_in_ties(codes))
+    if tie_codes:
+        listed_codes = ", ".join(sorted(tie_codes))
+        for status in STATUSES_OF_WRONG_RAYS:
+            causing_findings[status] = listed_codes
+    return causing_findings
 
 
 def are_suspect_by_height(facts: Facts, ledger: Ledger) -> bool:
-    """Whether stations without corrections are suspect, and their barometers say why."""
+    """Whether all stations that are not ok are suspect, and barometer and GNSS height disagree."""
     status = facts.stations.status[~facts.stations.ok]
-    by_height = any(entry.code == "STATIONS-HEIGHT" for entry in ledger)
-    return by_height and bool(np.all(status == "suspect"))
+    heights_disagree = any(entry.code == "STATIONS-HEIGHT" for entry in ledger)
+    return heights_disagree and bool(np.all(status == "suspect"))
 
 
 def cameras_of_exchanged_sides(facts: Facts) -> list[str]:
@@ -99,15 +102,17 @@ def cameras_of_exchanged_sides(facts: Facts) -> list[str]:
 
 def settle_findings(
     accepted: Iterable[AcceptedFinding],
-    known: Mapping[str, str],
+    causing_findings: Mapping[str, str],
     exchanged: Sequence[str],
     ledger: Ledger,
 ) -> None:
-    """Accept what the mission file accepts, and hold back what other findings may cause.
+    """Accept what the mission file accepts, then take findings that others cause from the ledger.
 
-    That is what tie points find (`hold_back_ties`), what follows from the ``exchanged`` sides of
-    the images of some cameras, and that many rows have a status whose cause is ``known`` by another
-    finding.
+    * Findings that may follow from exchanged sides of images (`hold_back_extents`); ``exchanged``
+      are the cameras with such images.
+    * Findings that many rows have a status, if that is among ``causing_findings`` (by status, as of
+      `findings_causing_statuses`).
+    * Findings of tie points that may follow from others (`hold_back_ties`).
     """
     accept_findings(accepted, ledger)
     hold_back_extents(exchanged, ledger)
@@ -115,23 +120,24 @@ def settle_findings(
         lambda entry: (
             entry.kind is Kind.FINDING
             and entry.code == "PLAUSIBLE-FLAGGED"
-            and entry.values["name"] in known
+            and entry.values["name"] in causing_findings
         )
     )
     hold_back_ties(ledger)
 
 
 def hold_back_extents(exchanged: Sequence[str], ledger: Ledger) -> None:
-    """Take out of the ledger what follows from exchanged sides of the images of some cameras.
+    """Take findings that may follow from exchanged sides of images from the ledger.
 
-    That are points outside the image, and rows that are flagged as such. A note (SIDES-HELD-BACK)
-    names what was taken out. An accepted finding of the principal point is no cause.
+    They are points outside the image, and rows that are flagged as outside_camera. ``exchanged``
+    are the cameras with such images; only those count that have a finding of the principal point
+    that is not accepted. A note (SIDES-HELD-BACK) names what was taken out.
     """
-    causes = set()
+    cameras_off_centre = set()
     for entry in ledger:
         if entry.kind is Kind.FINDING and entry.code == "PLAUSIBLE-PRINCIPAL-POINT":
-            causes.add(entry.values["name"])
-    cameras = [name for name in exchanged if name in causes]
+            cameras_off_centre.add(entry.values["name"])
+    cameras = [name for name in exchanged if name in cameras_off_centre]
     if not cameras:
         return
 
@@ -149,10 +155,10 @@ def hold_back_extents(exchanged: Sequence[str], ledger: Ledger) -> None:
 
 
 def hold_back_ties(ledger: Ledger) -> None:
-    """Take out of the ledger what tie points find, where another finding may be its cause.
+    """Take findings of tie points from the ledger, where another finding may be their cause.
 
-    A note (TIES-HELD-BACK) names what was taken out. Accepted findings are no causes: what the
-    mission file states is right.
+    A note (TIES-HELD-BACK) names what was taken out. Accepted findings cause nothing: there the
+    mission file is right.
     """
     codes = {entry.code for entry in ledger if entry.kind is Kind.FINDING}
     consequences = consequences_in_ties(codes)
@@ -168,19 +174,19 @@ def hold_back_ties(ledger: Ledger) -> None:
 
 
 def consequences_in_ties(codes: Set[str]) -> frozenset[str]:
-    """Codes of what tie points find where findings of some codes may be the cause."""
+    """Codes of the findings of tie points that findings with ``codes`` may cause."""
     if codes & CAUSES_OF_ALL:
         return DECIDED_TIES | UNDECIDED_TIES
     if codes & CAUSES_OF_HEIGHTS:
-        return OF_HEIGHTS
+        return HEIGHT_TIES
     return frozenset()
 
 
 def accept_findings(accepted: Iterable[AcceptedFinding], ledger: Ledger) -> None:
-    """Turn the findings in the ledger that the mission file accepts into warnings.
+    """Turn the findings that the mission file accepts into warnings with its reasons.
 
-    The warnings keep the reasons that the mission file gives. Refuses (MissionError ACCEPT-LOSS)
-    the code of a loss, which cannot be accepted; warns of an accepted code that no finding has.
+    Refuses (MissionError ACCEPT-LOSS) to accept the code of a loss in the ledger; warns of an
+    accepted code that no finding has.
     """
     losses = {entry.code for entry in ledger if entry.kind is Kind.LOSS}
     reasons = {}
@@ -194,14 +200,14 @@ def accept_findings(accepted: Iterable[AcceptedFinding], ledger: Ledger) -> None
 
 
 def is_verified(facts: Facts, ledger: Ledger) -> bool:
-    """Whether something in the mission could contradict its elevation model.
+    """Whether something in the mission can contradict its elevation model.
 
-    That is a take-off from ground that the model covers, terrain heights that the autopilot logged,
-    or tie points.
+    It is a take-off from ground that the model covers, or terrain heights that the autopilot
+    logged, or tie points.
     """
     takeoff = facts.takeoff
     if takeoff is not None and takeoff.stands and math.isfinite(facts.model_at_takeoff_m):
         return True
     if bool(np.isfinite(facts.logged_terrain_m).any()):
         return True
-    return any(entry.code in VERIFYING for entry in ledger)
+    return any(entry.code in CODES_OF_COMPARISON for entry in ledger)

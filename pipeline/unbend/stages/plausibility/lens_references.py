@@ -1,4 +1,4 @@
-"""Whether the stated air of a calibration in flight is that of a flight, or that of the ground."""
+"""Whether the stated reference air of a calibration in flight is that of the ground."""
 
 from collections.abc import Iterator
 
@@ -18,17 +18,19 @@ from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K
 LEAST_FALL_PA = 5_000.0
 """From the reference to the air in the lens: 450 m. Weather and low flights make less."""
 NEARER_TO_GROUND = 3.0
-"""Times, of a reference that is air of the ground: the flight of a calibration may be lower than
-that of the mission, but is hardly lower than a quarter of its height."""
-LABORATORY_WITHIN_PA = 100.0
-LABORATORY_WITHIN_K = 0.5
+"""How many times nearer to the air of the ground than to the air in the lens a reference must be to
+count as air of the ground: a calibration may be flown lower than the mission, but is hardly flown
+below a quarter of its height."""
+LABORATORY_WITHIN_PA = 100.0  # of the usual pressure of laboratories
+LABORATORY_WITHIN_K = 0.5  # of their usual temperature
 SMALLEST_SHIFT_PX = 0.05  # in the corner of an image: less cannot be measured
 
 
 def lens_references(facts: Facts) -> Iterator[Message]:
-    """Expected: the reference of a calibration in flight is not the air of the ground.
+    """A finding if the reference of a calibration in flight is the air of the ground.
 
-    A finding where it is, if this shifts a corner of the image measurably.
+    Only if that shifts a corner of the image measurably. A warning if the calibration was made on
+    corrected images.
     """
     mission = facts.mission
     for name, lens in mission.lenses.items():
@@ -62,34 +64,35 @@ def lens_references(facts: Facts) -> Iterator[Message]:
 
 
 def is_laboratory(lens: AnyLens) -> bool:
-    """Whether the reference of a lens is the usual air of a laboratory, which no flight has."""
+    """Whether the reference of a lens is the usual air of a laboratory."""
     off_pa = abs(lens.reference_pressure_pa - LABORATORY_PRESSURE_PA)
     off_k = abs(lens.reference_temperature_k - LABORATORY_TEMPERATURE_K)
     return off_pa <= LABORATORY_WITHIN_PA and off_k <= LABORATORY_WITHIN_K
 
 
 def is_air_of_ground(reference_pa: float, in_lens_pa: float, ground_pa: float) -> bool:
-    """Whether a reference is the air of a laboratory or of the ground, not that of a flight.
+    """Whether a reference is the air of the ground or of a laboratory, not that of a flight.
 
-    ``in_lens_pa`` is the pressure in the lens in the flight of the mission, ``ground_pa`` that at
-    the ground below it, NaN if unknown [Pa].
+    Pressures [Pa]: ``reference_pa`` of the calibration, ``in_lens_pa`` in the lens in the flight of
+    the mission, ``ground_pa`` at the ground below it, NaN if unknown. True if the reference is
+    three times nearer to the ground or a laboratory than to the air in the lens.
 
     >>> is_air_of_ground(101_325.0, 70_000.0, 95_000.0), is_air_of_ground(85e3, 70e3, 95e3)
     (True, False)
     """
-    of_ground_pa = np.array([LABORATORY_PRESSURE_PA, ground_pa])
-    from_ground_pa = float(np.nanmin(np.abs(reference_pa - of_ground_pa)))
+    pressures_of_ground_pa = np.array([LABORATORY_PRESSURE_PA, ground_pa])
+    from_ground_pa = float(np.nanmin(np.abs(reference_pa - pressures_of_ground_pa)))
     fall_pa = reference_pa - in_lens_pa
     return fall_pa > max(LEAST_FALL_PA, NEARER_TO_GROUND * from_ground_pa)
 
 
 def pressure_in_lens_pa(name: str, facts: Facts) -> float:
-    """The median pressure [Pa] in the lens of a camera; it has usable exposures."""
+    """The median pressure [Pa] in the lens of a camera that has usable exposures."""
     mission = facts.mission
-    rows = (facts.stations.camera == name) & facts.stations.ok
+    is_usable = (facts.stations.camera == name) & facts.stations.ok
     profile = facts.adjustment.profile
     window = mission.windows.get(name)
-    in_lens = air_at_camera(facts.stations, profile, window, mission.lenses[name], rows)
+    in_lens = air_at_camera(facts.stations, profile, window, mission.lenses[name], is_usable)
     return float(np.nanmedian(in_lens.pressure_pa))
 
 

@@ -46,7 +46,10 @@ def field_of_view(
     least: float,
     most: float,
 ) -> Message:
-    """A field of view that no such camera has."""
+    """A field of view (``view`` [deg], over the diagonal) that no such camera has.
+
+    ``least`` and ``most`` [deg] are expected.
+    """
     return finding(
         PLAUSIBLE_VIEW,
         (
@@ -94,7 +97,7 @@ PLAUSIBLE_PRINCIPAL_POINT = Code(
 def principal_point_off(
     *, where: str, name: str, cx_px: float, cy_px: float, percent: float
 ) -> Message:
-    """A principal point far from the centre of the image."""
+    """A principal point that is ``percent`` of the image from its centre."""
     return finding(
         PLAUSIBLE_PRINCIPAL_POINT,
         (
@@ -140,7 +143,7 @@ PLAUSIBLE_DISTORTION = Code(
 
 
 def distortion_size(*, where: str, name: str, share: float) -> Message:
-    """A distortion that is too small or too large."""
+    """A distortion that moves the corners by too small or too large a ``share`` of their radius."""
     return finding(
         PLAUSIBLE_DISTORTION,
         (
@@ -155,7 +158,7 @@ def distortion_size(*, where: str, name: str, share: float) -> Message:
 
 
 def distortion_order(*, where: str, name: str, most: float) -> Message:
-    """Coefficients of a distortion in another order."""
+    """Coefficients of a distortion in another order; ``most`` is the larger of |p1| and |p2|."""
     return finding(
         PLAUSIBLE_DISTORTION,
         (
@@ -191,7 +194,10 @@ def extent_of_observations(
     expected: str,
     mistake: str,
 ) -> Message:
-    """Observations that do not fill the image, or lie outside it."""
+    """Observations that do not fill the image, or are outside it.
+
+    ``x`` and ``y`` are ranges in words, ``outside`` is in per cent.
+    """
     return finding(
         PLAUSIBLE_EXTENT,
         (
@@ -220,7 +226,7 @@ PLAUSIBLE_DIRECTION = Code(
 
 
 def camera_direction(*, where: str, name: str, axis: float, expected: str) -> Message:
-    """A camera that does not look where it should."""
+    """A camera that looks ``axis`` deg from the nadir, not as ``expected``."""
     return finding(
         PLAUSIBLE_DIRECTION,
         (
@@ -243,7 +249,10 @@ PLAUSIBLE_ANGLE = Code(
 
 
 def angle_in_radians(*, where: str, angle: str, name: str, value: float, deg: float) -> Message:
-    """An angle that looks like radians."""
+    """An angle of a mount that looks like radians.
+
+    ``angle`` is its key, ``value`` the stated number, ``deg`` what that is if it is in radians.
+    """
     return finding(
         PLAUSIBLE_ANGLE,
         (
@@ -267,7 +276,7 @@ PLAUSIBLE_LEVER_ARM = Code(
 
 
 def lever_arm_long(*, where: str, name: str, length: float) -> Message:
-    """A lever arm that is too long."""
+    """A lever arm that is too long (``length`` [m])."""
     return finding(
         PLAUSIBLE_LEVER_ARM,
         (
@@ -281,7 +290,7 @@ def lever_arm_long(*, where: str, name: str, length: float) -> Message:
 
 
 def lever_arm_above(*, where: str, name: str, up: float, most: float) -> Message:
-    """A camera that looks down from above the antenna."""
+    """A camera that looks down from ``up`` m above the antenna; allowed are ``most`` m."""
     return finding(
         PLAUSIBLE_LEVER_ARM,
         (
@@ -305,7 +314,7 @@ PLAUSIBLE_SIGMA = Code(
 
 
 def ground_sigma_large(*, where: str, sigma: float) -> Message:
-    """A standard deviation of the ground that is too large."""
+    """A standard deviation of the ground (``sigma`` [m]) that is too large."""
     return finding(
         PLAUSIBLE_SIGMA,
         (
@@ -326,7 +335,7 @@ PLAUSIBLE_DELAY = Code(
 
 
 def delay_large(*, where: str, name: str, delay: float) -> Message:
-    """A delay of more than a second."""
+    """A ``delay`` [s] of more than a second."""
     return finding(
         PLAUSIBLE_DELAY,
         (
@@ -393,7 +402,7 @@ def window_unstated(
 
 
 def window_leans(*, where: str, name: str, tilt: float) -> Message:
-    """A window that leans far from the optical axis."""
+    """A window with a normal that is ``tilt`` deg from the optical axis."""
     return finding(
         PLAUSIBLE_WINDOW,
         (
@@ -464,7 +473,10 @@ def reference_of_ground_in_corrected(
     ppm: float,
     corner_px: float,
 ) -> Message:
-    """The same for a calibration on corrected images, which may have been corrected for it."""
+    """A calibration in flight on corrected images, with the air of the ground as its reference.
+
+    Only a warning, because the images may have been corrected for the air in the lens too.
+    """
     return warning(
         PLAUSIBLE_REFERENCE,
         (
@@ -493,7 +505,7 @@ PLAUSIBLE_DISTANCE = Code(
 
 
 def slant_ranges_off(*, where: str, ratio: float) -> Message:
-    """Slant ranges that do not fit the heights."""
+    """Slant ranges that are ``ratio`` times those from the heights of camera and ground."""
     return finding(
         PLAUSIBLE_DISTANCE,
         (
@@ -514,7 +526,7 @@ PLAUSIBLE_FLAGGED = Code(
 
 
 def many_flagged(*, where: str, percent: float, name: str, most: float, cause: str) -> Message:
-    """Too many observations flagged for one cause."""
+    """Too many observations with one status ``name``; at most ``most`` per cent are expected."""
     return finding(
         PLAUSIBLE_FLAGGED,
         "{percent:.0f} % of the observations are {name}, expected at most {most:.0f} %: {cause}",
@@ -551,7 +563,10 @@ def air_implausible(
     expected: str,
     sources: str,
 ) -> Message:
-    """A refraction that real air does not have."""
+    """A refraction that real air does not have.
+
+    ``factor`` is R over R in the standard atmosphere; its ``sigma`` is left out if it is NaN.
+    """
     factor_text = "{factor:.2f}" if math.isnan(sigma) else "{factor:.2f} ± {sigma:.2f}"
     return finding(
         PLAUSIBLE_AIR,
@@ -611,7 +626,7 @@ DEM_UNVERIFIED = Code(
 
 
 def model_unverified(*, where: str) -> Message:
-    """Nothing can contradict the elevation model."""
+    """Nothing in the mission can contradict its elevation model."""
     return warning(
         DEM_UNVERIFIED,
         (
@@ -639,9 +654,10 @@ TIES_HELD_BACK = Code(
 
 
 def ties_held_back(*, codes: Sequence[str], keys: Sequence[str], causes: Sequence[str]) -> Message:
-    """Findings of tie points that a finding of another kind may cause are not listed.
+    """Findings of tie points are not listed, because findings of another kind may cause them.
 
-    ``codes`` and ``keys`` are those of the findings; ``causes`` are codes.
+    ``codes`` and ``keys`` are those of the findings that are not listed, ``causes`` are the codes
+    of the others.
     """
     return note(
         TIES_HELD_BACK,
@@ -720,7 +736,7 @@ ACCEPT_UNUSED = Code(
 
 
 def accepted_code_unused(*, where: str, accepted_code: str) -> Message:
-    """The mission file accepts what is not found."""
+    """The mission file accepts a code that no finding of this run has."""
     return warning(
         ACCEPT_UNUSED,
         "{accepted_code} is accepted, but this run has no such finding",
@@ -729,7 +745,7 @@ def accepted_code_unused(*, where: str, accepted_code: str) -> Message:
     )
 
 
-_OFF = (
+_GROUND_OFF = (
     "the ground is {height_m:.0f} m above sea level in the median, {off_m:+.0f} m from "
     "{reference}: expected within {allowed_m:.0f} m; likely {likely}"
 )
@@ -738,10 +754,13 @@ _OFF = (
 def ground_off(
     *, where: str, height_m: float, off_m: float, reference: str, allowed_m: float, likely: str
 ) -> Message:
-    """The ground of the observations is not where the take-off says."""
+    """The ground of the observations is too far above or below the take-off.
+
+    ``height_m`` is that of the ground, ``off_m`` how far it is above the ``reference``.
+    """
     return finding(
         PLAUSIBLE_GROUND,
-        _OFF,
+        _GROUND_OFF,
         where=where,
         height_m=height_m,
         off_m=off_m,
@@ -754,10 +773,13 @@ def ground_off(
 def terrain_off(
     *, where: str, height_m: float, off_m: float, reference: str, allowed_m: float, likely: str
 ) -> Message:
-    """The ground is not where logged terrain, or the elevation model, has it."""
+    """The ground contradicts logged terrain, or the elevation model contradicts the take-off.
+
+    ``height_m`` is that of ground or model, ``off_m`` how far it is above the ``reference``.
+    """
     return finding(
         PLAUSIBLE_TERRAIN,
-        _OFF,
+        _GROUND_OFF,
         where=where,
         height_m=height_m,
         off_m=off_m,

@@ -1,7 +1,6 @@
-"""The rules of plausibility: each is a function whose docstring says what is expected.
+"""The rules of plausibility: each yields a finding where the facts of a mission look mistaken.
 
-A rule yields a finding where the expectation is not met: what there is instead, and the likely
-mistake.
+A finding states what is expected, what there is instead, and the likely mistake.
 """
 
 import math
@@ -9,7 +8,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from unbend.atmosphere.estimate.normal_equations import Fit
 from unbend.flight.ground_times import Takeoff
 from unbend.geodesy import wrapped
 from unbend.messages import Message
@@ -17,7 +15,7 @@ from unbend.refraction.calibration import is_fisheye
 from unbend.refraction.camera.camera import Camera
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.stages.plausibility import messages
-from unbend.stages.plausibility.air_limits import limits_of_factor
+from unbend.stages.plausibility.air_limits import air_of_flight
 from unbend.stages.plausibility.cabin_windows import windows_of_compartments
 from unbend.stages.plausibility.causes import EARTH_RADIUS_M, causes_of_statuses
 from unbend.stages.plausibility.facts import Facts
@@ -28,11 +26,11 @@ Findings = Iterator[Message]
 """Messages whose ``where`` is the key of the mission file to change."""
 
 TAKEOFF_NEAR_KM = 30.0  # farther away the take-off says nothing about the ground
-GROUND_ALLOWED_M = 300.0  # between the heights of ground and take-off, at the take-off
-GROUND_ALLOWED_M_PER_KM = 20.0  # more, for each kilometre from the take-off
+GROUND_ALLOWED_M = 300.0  # difference of the heights of ground and take-off, at the take-off
+GROUND_ALLOWED_M_PER_KM = 20.0  # to be added for each kilometre from the take-off
 TERRAIN_ALLOWED_M = 50.0  # between the heights of ground and terrain at the same place
 SEES_STATION_RAD = 0.5  # rays within so much of the nadir see the ground near their station
-LIKELY_SHARE = 0.5  # of a difference, that a likely mistake may leave
+LIKELY_SHARE = 0.5  # of a difference: a likely mistake leaves no more unexplained
 NARROWEST_VIEW_DEG = 3.0
 WIDEST_VIEW_DEG = 130.0
 NARROWEST_FISHEYE_DEG = 60.0
@@ -43,8 +41,8 @@ NEAR_MIDDLE = 0.05  # the same, of a principal point that states where the middl
 SMALLEST_DISTORTION = 1e-6  # at the corners of the image, as a share of the radius
 LARGEST_DISTORTION = 0.3  # the same, for views under 90 deg
 LARGEST_WIDE_DISTORTION = 1.0  # the same, for wider views
-LARGEST_TANGENTIAL = 1e-3  # p1 and p2 are larger only if they stand in the place of k3
-TANGENTIAL_OVER_RADIAL = 3.0
+LARGEST_TANGENTIAL = 1e-3  # of p1 and p2: a larger one is another coefficient in their place
+TANGENTIAL_OVER_RADIAL = 3.0  # p1 or p2 over k3: larger ones are in another order
 MOST_OUTSIDE = 0.01  # share of the observations outside the image
 FILLED = 0.7  # share of the image that many observations reach
 MANY_ROWS = 100  # that fill an image
@@ -59,41 +57,39 @@ LONGEST_LEVER_ARM_M = 10.0
 LARGEST_GROUND_SIGMA_M = 50.0
 LONGEST_DELAY_S = 1.0
 MOST_WINDOW_TILT_DEG = 35.0
-STEEPEST_RAD = 1.4  # nadir angle beyond which a straight slant range means little
+LARGEST_NADIR_RAD = 1.4  # nadir angle; beyond it the slant range depends too much on the angle
 SMALLEST_RANGE_RATIO = 0.7  # slant range over that of the heights
 LARGEST_RANGE_RATIO = 1.4
 MOST_FLAGGED = 0.2  # share of the rows, for one cause
-KEYS_OF_SOURCES = {
-    "sounding": "atmosphere.soundings",
-    "surface report": "atmosphere.surface",
-    "weather model": "atmosphere.model",
-}
-"""The key of a mission file for each source of the air beside the log, by how its name begins."""
 METRES_OF_A_FOOT = 0.3048
 
 
-def ground_beside_takeoff(facts: Facts) -> Findings:
-    """The ground within 300 m of the take-off, and 20 m for each km from it, to 30 km."""
+def ground_against_takeoff(facts: Facts) -> Findings:
+    """A finding if the ground is too far above or below the take-off.
+
+    Allowed are 300 m, and 20 m more for each km between take-off and stations. Beyond 30 km nothing
+    is compared.
+    """
     takeoff = facts.takeoff
-    ground = facts.rows.h_g_m
-    if takeoff is None or not np.isfinite(ground).any() or not facts.stations.ok.any():
+    ground_m = facts.rows.h_g_m
+    if takeoff is None or not np.isfinite(ground_m).any() or not facts.stations.ok.any():
         return
-    km = median_distance_km(facts, takeoff)
-    if km > TAKEOFF_NEAR_KM:
+    distance_km = median_distance_km(facts, takeoff)
+    if distance_km > TAKEOFF_NEAR_KM:
         return
     column = facts.mission.ground.column
     key = "ground.height"
     if column:
         key += f", column {column}"
-    height_m = float(np.nanmedian(ground))
+    height_m = float(np.nanmedian(ground_m))
     off_m = height_m - takeoff.h_msl_m
-    allowed_m = GROUND_ALLOWED_M + GROUND_ALLOWED_M_PER_KM * km
+    allowed_m = GROUND_ALLOWED_M + GROUND_ALLOWED_M_PER_KM * distance_km
     if abs(off_m) > allowed_m:
         yield messages.ground_off(
             where=key,
             height_m=height_m,
             off_m=off_m,
-            reference=f"the take-off, {km:.0f} km away",
+            reference=f"the take-off, {distance_km:.0f} km away",
             allowed_m=allowed_m,
             likely=likely_reading(off_m, height_m, takeoff.h_msl_m),
         )
@@ -108,11 +104,13 @@ def median_distance_km(facts: Facts, takeoff: Takeoff) -> float:
     return float(np.median(np.hypot(north_m, east_m))) / 1000.0
 
 
-def ground_beside_terrain(facts: Facts) -> Findings:
-    """The ground within 50 m of the terrain that the autopilot logged, and its scatter more.
+def ground_against_terrain(facts: Facts) -> Findings:
+    """A finding if the ground is too far above or below the terrain that the autopilot logged.
 
-    Rows within 29 deg of the nadir count, which see the ground near their station.
+    Allowed are 50 m and the scatter of the differences. Only rows within 29 deg of the nadir count,
+    because these see the ground near their station, where the terrain was logged.
     """
+    # The last element is for rows without a station, whose number is -1.
     terrain_m = np.append(facts.logged_terrain_m, np.nan)[facts.rows.station]
     is_near = facts.nadir_angle_rad < SEES_STATION_RAD
     above_terrain_m = np.where(is_near, facts.rows.h_g_m, np.nan) - terrain_m
@@ -120,7 +118,7 @@ def ground_beside_terrain(facts: Facts) -> Findings:
     if not is_known.any():
         return
     low_m, median_m, high_m = np.percentile(above_terrain_m[is_known], [16.0, 50.0, 84.0]).tolist()
-    scatter_m = (high_m - low_m) / 2.0
+    scatter_m = (high_m - low_m) / 2.0  # one sigma of normally distributed differences
     allowed_m = TERRAIN_ALLOWED_M + scatter_m
     if abs(median_m) > allowed_m:
         height_m = float(np.median(terrain_m[is_known])) + median_m
@@ -134,8 +132,11 @@ def ground_beside_terrain(facts: Facts) -> Findings:
         )
 
 
-def model_beside_takeoff(facts: Facts) -> Findings:
-    """The elevation model within 50 m of the take-off, if the log begins while standing there."""
+def model_against_takeoff(facts: Facts) -> Findings:
+    """A finding if the elevation model is more than 50 m above or below the take-off.
+
+    Compared only if the aircraft is at rest on the ground when the log begins.
+    """
     takeoff = facts.takeoff
     model_m = facts.model_at_takeoff_m
     if takeoff is None or not takeoff.stands or not np.isfinite(model_m):
@@ -153,22 +154,24 @@ def model_beside_takeoff(facts: Facts) -> Findings:
 
 
 def key_of_ground(facts: Facts) -> str:
-    """The keys of ground heights and of what they count from."""
+    """The keys of the mission file that state ground heights and their zero."""
     column = facts.mission.ground.column
-    named = f", column {column}" if column else ""
-    return f"ground.height{named}; ground.reference"
+    column_text = f", column {column}" if column else ""
+    return f"ground.height{column_text}; ground.reference"
 
 
 def takeoff_height_m(facts: Facts) -> float:
-    """The height of the take-off above sea level, 0 where unknown."""
+    """The height of the take-off above sea level [m]; 0 if unknown."""
     return 0.0 if facts.takeoff is None else facts.takeoff.h_msl_m
 
 
 def likely_reading(off_m: float, ground_m: float, takeoff_m: float) -> str:
-    """What ground heights likely are that lie ``off_m`` above where they are expected.
+    """What ground heights likely are, in words, if they seem too high by ``off_m`` (or too low).
 
-    Each reading says by how much heights would be too high if they were taken for metres above sea
-    level; the reading that explains ``off_m`` best is likely, if it explains half of it.
+    ``ground_m`` is the stated height of the ground, ``takeoff_m`` that of the take-off above sea
+    level. Each reading makes heights too high by a known amount if they are taken for metres above
+    sea level. The reading whose amount is nearest to ``off_m`` is likely if it explains at least
+    half of ``off_m``.
     """
     too_high_m = {
         "feet": ground_m - ground_m * METRES_OF_A_FOOT,
@@ -184,10 +187,13 @@ def likely_reading(off_m: float, ground_m: float, takeoff_m: float) -> str:
 
 
 def field_of_view(facts: Facts) -> Findings:
-    """A diagonal field of view between 3 and 130 deg (fisheyes 60 and 300), and square pixels."""
+    """A finding if a field of view is implausible, or pixels are not square within 2 %.
+
+    Expected are 3 to 130 deg over the diagonal, 60 to 300 deg for fisheyes.
+    """
     for name, camera in facts.cameras.items():
         view = facts.view_deg(name)
-        key = facts.key_of(name, of_numbers="fx_px", of_metric="focal_mm")
+        key = facts.key_of(name, pixel_key="fx_px", metric_key="focal_mm")
         least = NARROWEST_VIEW_DEG
         most = WIDEST_VIEW_DEG
         if is_fisheye(camera):
@@ -211,20 +217,23 @@ def field_of_view(facts: Facts) -> Findings:
 
 
 def principal_point(facts: Facts) -> Findings:
-    """The principal point within a tenth of the image from its centre."""
+    """A finding if a principal point is more than a tenth of the image from its centre.
+
+    It says so if width and height of the image seem exchanged.
+    """
     for name, camera in facts.cameras.items():
         off_x = abs(camera.cx_px / camera.width_px - 0.5)
         off_y = abs(camera.cy_px / camera.height_px - 0.5)
         off = max(off_x, off_y)
         if off > LARGEST_OFF_CENTRE and are_sides_exchanged(camera):
             yield messages.sides_exchanged(
-                where=facts.key_of(name, of_numbers="width_px", of_metric="format_mm"),
+                where=facts.key_of(name, pixel_key="width_px", metric_key="format_mm"),
                 name=name,
                 camera=camera,
             )
         elif off > LARGEST_OFF_CENTRE:
             yield messages.principal_point_off(
-                where=facts.key_of(name, of_numbers="cx_px", of_metric="origin"),
+                where=facts.key_of(name, pixel_key="cx_px", metric_key="origin"),
                 name=name,
                 cx_px=camera.cx_px,
                 cy_px=camera.cy_px,
@@ -233,17 +242,18 @@ def principal_point(facts: Facts) -> Findings:
 
 
 def are_sides_exchanged(camera: Camera) -> bool:
-    """Whether the principal point is at the middle only of an image with exchanged sides."""
-    near_x = abs(camera.cx_px / camera.height_px - 0.5) < NEAR_MIDDLE
-    near_y = abs(camera.cy_px / camera.width_px - 0.5) < NEAR_MIDDLE
-    is_of_stated = abs(camera.cx_px / camera.width_px - 0.5) < NEAR_MIDDLE
-    return near_x and near_y and not is_of_stated
+    """Whether the principal point is in the middle only if width and height are exchanged."""
+    fits_exchanged_x = abs(camera.cx_px / camera.height_px - 0.5) < NEAR_MIDDLE
+    fits_exchanged_y = abs(camera.cy_px / camera.width_px - 0.5) < NEAR_MIDDLE
+    fits_stated = abs(camera.cx_px / camera.width_px - 0.5) < NEAR_MIDDLE
+    return fits_exchanged_x and fits_exchanged_y and not fits_stated
 
 
 def distortion(facts: Facts) -> Findings:
-    """Distortion at the corners between 1e-6 and 0.3 of the radius, and small tangential terms.
+    """A finding if distortion is too small or too large, or its coefficients in another order.
 
-    Up to the whole radius in views of 90 deg and more. Fisheyes are not looked at.
+    Expected at the corners are 1e-6 to 0.3 of their radius (up to 1 in views of 90 deg and more),
+    and p1 and p2 up to 0.001, or three times k3. Fisheyes and views over 130 deg are not judged.
     """
     for name, camera in facts.cameras.items():
         coefficients = camera.distortion._asdict()
@@ -253,12 +263,12 @@ def distortion(facts: Facts) -> Findings:
         share = distortion_at_corners(camera)
         largest = LARGEST_DISTORTION if view_deg < 90.0 else LARGEST_WIDE_DISTORTION
         if share != 0.0 and not SMALLEST_DISTORTION <= share <= largest:
-            key = facts.key_of(name, of_numbers="distortion", of_metric="distortion")
+            key = facts.key_of(name, pixel_key="distortion", metric_key="distortion")
             yield messages.distortion_size(where=key, name=name, share=share)
         tangential = max(abs(coefficients.get("p1", 0.0)), abs(coefficients.get("p2", 0.0)))
         over_radial = tangential > TANGENTIAL_OVER_RADIAL * abs(coefficients.get("k3", 0.0))
         if tangential > LARGEST_TANGENTIAL and over_radial:
-            key = facts.key_of(name, of_numbers="distortion.k3", of_metric="distortion")
+            key = facts.key_of(name, pixel_key="distortion.k3", metric_key="distortion")
             yield messages.distortion_order(where=key, name=name, most=tangential)
 
 
@@ -271,7 +281,11 @@ def distortion_at_corners(camera: Camera) -> float:
 
 
 def extent_of_observations(facts: Facts) -> Findings:
-    """Observations that fill the image, and hardly any outside it."""
+    """A finding if more than 1 % of the observations are outside the image, or none near its edges.
+
+    The latter is judged from 100 observations on: they should reach 70 % of the image's width or
+    height.
+    """
     for name, camera in facts.cameras.items():
         rows = (facts.camera == name) & np.isfinite(facts.rows.x_px + facts.rows.y_px)
         x = facts.rows.x_px[rows]
@@ -304,7 +318,10 @@ def extent_of_observations(facts: Facts) -> Findings:
 
 
 def likely_cause_of_pixels_outside(x: Array, y: Array, width: int, height: int) -> str:
-    """Why measurements likely lie outside an image of this width and height [px], in words."""
+    """What pixels x, y (n,) likely are, in words, if many are outside an image.
+
+    ``width`` and ``height`` are those of the image [px].
+    """
     if x.min() < BEHIND_CENTRE * width and y.min() < BEHIND_CENTRE * height:
         return "measured from the centre of the image, not from its upper left corner"
     if x.max() <= height and y.max() <= width:
@@ -313,12 +330,13 @@ def likely_cause_of_pixels_outside(x: Array, y: Array, width: int, height: int) 
 
 
 def direction_of_cameras(facts: Facts) -> Findings:
-    """Cameras that look down, and those whose name says where they look."""
+    """A finding if a camera looks to the horizon or above, or not where its name suggests."""
     for name in facts.cameras:
         axis = facts.axis_deg(name)
         half_view = facts.view_deg(name) / 2.0
         named_nadir = any(word in name.lower() for word in ("nadir", "down", "vertical"))
         expected = ""
+        # The horizon is within half the field of view of the axis, or within 10 deg.
         if axis > 90.0 - min(half_view, 10.0):
             expected = "down: likely 0 for a camera that looks down, not -90"
         elif axis > LARGEST_TILT_DEG and named_nadir:
@@ -334,14 +352,14 @@ def direction_of_cameras(facts: Facts) -> Findings:
 
 
 def angles_of_mounts(facts: Facts) -> Findings:
-    """Angles in degrees: no angle that would be a multiple of 15 deg if it were in radians."""
+    """A finding if an angle of a mount is a multiple of 15 deg when it is read in radians."""
     for name, mount in facts.mission.mount.items():
         for key in ("roll_deg", "pitch_deg", "yaw_deg"):
             value = getattr(mount, key)
             degrees_if_radians = math.degrees(value)
             steps = degrees_if_radians / ANGLE_STEP_DEG
-            # 0 for a small (boresight) angle, which says nothing about the unit
             whole_steps = round(steps)
+            # None (0) for a small (boresight) angle, which may have either unit.
             is_multiple = whole_steps != 0 and abs(steps - whole_steps) < LARGEST_STEP_ERROR
             if is_multiple and abs(value) <= math.tau:
                 yield messages.angle_in_radians(
@@ -354,7 +372,10 @@ def angles_of_mounts(facts: Facts) -> Findings:
 
 
 def lever_arms(facts: Facts) -> Findings:
-    """Lever arms of less than 10 m, and no camera that looks down above the antenna."""
+    """A finding if a lever arm is longer than 10 m, or puts a camera above the antenna.
+
+    The latter only for cameras that look down; up to 0.25 m above are allowed.
+    """
     for name, mount in facts.mission.mount.items():
         key = f"mount.{name}.lever_arm_m"
         length = math.hypot(*mount.lever_arm_m)
@@ -367,7 +388,7 @@ def lever_arms(facts: Facts) -> Findings:
 
 
 def sigmas_and_delays(facts: Facts) -> Findings:
-    """Sigmas of the ground below 50 m, and delays below a second."""
+    """A finding if the sigma of the ground is over 50 m, or a delay of events over a second."""
     mission = facts.mission
     sigma = mission.ground.sigma_m or 0.0
     if sigma > LARGEST_GROUND_SIGMA_M:
@@ -381,7 +402,11 @@ def sigmas_and_delays(facts: Facts) -> Findings:
 
 
 def windows(facts: Facts) -> Findings:
-    """A window where the log has a cabin, and windows within 35 deg of square to the camera."""
+    """A finding if the log has a cabin but no camera a window, or if a window is tilted too far.
+
+    Allowed are 35 deg between the normal of the window and the optical axis, if the normal is
+    stated in the frame of the camera.
+    """
     mission = facts.mission
     channel = None if mission.log is None else mission.log.channels.cabin_pressure
     if channel is not None and not mission.windows:
@@ -397,10 +422,14 @@ def windows(facts: Facts) -> Findings:
 
 
 def slant_ranges(facts: Facts) -> Findings:
-    """Slant ranges that fit the heights of camera and ground."""
+    """A finding if measured slant ranges do not fit the heights of camera and ground.
+
+    Their median may be 0.7 to 1.4 times that of straight rays over a flat earth. Rays more than 80
+    deg from the nadir do not count.
+    """
     straight_m = (facts.camera_height_m - facts.rows.h_g_m) / np.cos(facts.nadir_angle_rad)
     ratio = facts.rows.distance_m / straight_m
-    ratio = ratio[np.isfinite(ratio) & (facts.nadir_angle_rad < STEEPEST_RAD)]
+    ratio = ratio[np.isfinite(ratio) & (facts.nadir_angle_rad < LARGEST_NADIR_RAD)]
     if not ratio.size:
         return
     median = float(np.median(ratio))
@@ -409,7 +438,7 @@ def slant_ranges(facts: Facts) -> Findings:
 
 
 def flagged_rows(facts: Facts) -> Findings:
-    """No more than a fifth of the rows flagged for one cause."""
+    """A finding for each status that flags more than a fifth of the rows."""
     weight = facts.rows.weight
     for name, cause in causes_of_statuses(facts).items():
         flagged = facts.rows.status == STATUS_NAMES.index(name)
@@ -424,64 +453,17 @@ def flagged_rows(facts: Facts) -> Findings:
             )
 
 
-def air_of_flight(facts: Facts) -> Findings:
-    """Refraction within what real air has, and what the estimate's own sigma explains."""
-    for effect in facts.effects[:1]:
-        limits = limits_of_factor(effect.h_c_m - effect.h_g_m, facts.usual_factor)
-        if limits is None or not limits.are_surely_passed(effect.factor, effect.sigma_factor):
-            continue
-        fits = fits_of_air(facts)
-        keys = [key_of_source(fit) for fit in fits]
-        names = [fit.name for fit in fits]
-        yield messages.air_implausible(
-            where=listed(keys),
-            nadir_deg=effect.nadir_deg,
-            h_c_m=effect.h_c_m,
-            h_g_m=effect.h_g_m,
-            factor=effect.factor,
-            sigma=effect.sigma_factor,
-            expected=f"{limits.lowest:.2f} to {limits.highest:.2f}",
-            sources=listed(names),
-        )
-
-
-def fits_of_air(facts: Facts) -> list[Fit]:
-    """The sources that the air was estimated from, the one with most information first.
-
-    It is the likeliest to be wrong where the air is.
-    """
-    fits = [use.fit for use in facts.adjustment.sources if use.fit is not None]
-    return sorted(fits, key=lambda fit: -fit.signal_freedom)
-
-
-def listed(words: list[str]) -> str:
-    """Words in their order, each once.
-
-    >>> listed(["BARO[0]", "BARO[0]", "IMET[0]"])
-    'BARO[0], IMET[0]'
-    """
-    return ", ".join(dict.fromkeys(words))
-
-
-def key_of_source(fit: Fit) -> str:
-    """The key of a mission file that gives a source of the air."""
-    for kind, key in KEYS_OF_SOURCES.items():
-        if fit.name.startswith(kind):
-            return key
-    return f"log.channels.{fit.quantity}"
-
-
 def measured_observations(facts: Facts) -> Findings:
-    """Refraction is removed from the observations of a flight with a log, not applied to them."""
+    """A finding if refraction is applied to observations of a flight with a log, not removed."""
     mission = facts.mission
     if mission.refraction.direction == "apply" and mission.stations.orientation is None:
         yield messages.refraction_applied_twice(where="refraction.direction")
 
 
 RULES: tuple[Callable[[Facts], Findings], ...] = (
-    ground_beside_takeoff,
-    ground_beside_terrain,
-    model_beside_takeoff,
+    ground_against_takeoff,
+    ground_against_terrain,
+    model_against_takeoff,
     field_of_view,
     principal_point,
     distortion,
