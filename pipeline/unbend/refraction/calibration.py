@@ -383,7 +383,7 @@ def _refuse_other_format(report: MetricReport, size: Array) -> None:
 
 
 def _affinity(report: MetricReport, to_image: Array) -> Array:
-    """(2, 2) matrix by which b1 and b2 of a report distort coordinates in the axes of the image.
+    """(2, 2) matrix of the distortion by b1 and b2 of a report, in the axes of the image.
 
     ``to_image`` (2, 2) takes the axes of the report to those of the image.
     """

@@ -1,4 +1,4 @@
-"""Warnings of layers of a sounding that no sonde measures, as from a typing error.
+"""Warnings about layers of a sounding that no sonde measures, as from a typing error.
 
 Either the air cools too fast with height, or its refractive index grows too much with height. Near
 the ground both are usual by day. The limits lie beyond what 479 public ascents have (Vienna
@@ -34,7 +34,7 @@ class Layer:
 
 
 def layer_notes(sounding: Sounding, where: str) -> Notes:
-    """Warnings of the most unstable layer and of that where the refractive index grows most.
+    """Warnings about the most unstable layer and of that where the refractive index grows most.
 
     ``where``: the file of the sounding, for the messages. All levels are kept.
     """

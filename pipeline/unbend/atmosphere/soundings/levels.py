@@ -54,8 +54,9 @@ class Sounding:
     decreasing, vapour pressure NaN where it was not measured. ``time_ns``: release of the balloon,
     or the hour of the observation [Unix ns], None if unknown; ``station`` as the file has it, may
     be empty; position NaN where the file has none; ``origin``: the format it was read as; ``kind``:
-    "sounding" or "weather model", for messages; ``errors`` of the column, to which age and distance
-    add; ``across``: whether a coast or a ridge is between it and the flight.
+    "sounding" or "weather model", for messages and as the basis of an estimate; ``errors`` of the
+    column, to which age and distance add; ``across``: whether a coast or a ridge is between it and
+    the flight.
     """
 
     h_m: Array
@@ -221,7 +222,7 @@ def place_of_numbers(latitude_deg: float, longitude_deg: float) -> PlaceOfSoundi
 
 
 def stated_place(latitude: str, longitude: str, where: str) -> PlaceOfSounding:
-    """The place that two fields of a file state in degrees; the longitude alone may be missing.
+    """The place that two fields of a file state in degrees; a latitude alone is kept.
 
     Empty fields and fill values state nothing: NaN. Refuses (InputError SOUNDING-PLACE) other
     fields that are not a latitude or a longitude.

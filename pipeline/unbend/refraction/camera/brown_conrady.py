@@ -92,8 +92,8 @@ def first_root(coefficients: Any) -> float:
     >>> first_root([1.0, -0.25])
     2.0
     """
-    # `np.roots` takes the highest power first. With the lowest first the roots are 1/r^2, and nothing
-    # is divided by the coefficient of the highest power, which may be tiny.
+    # `np.roots` takes the highest power first. With the lowest first the roots are 1/r^2, and no
+    # coefficient is divided by that of the highest power, which may be tiny.
     inverse_squares = np.roots(np.asarray(getattr(coefficients, "coef", coefficients)))
     is_real = np.abs(inverse_squares.imag) < 1e-9 * np.abs(inverse_squares.real)
     is_finite_radius = inverse_squares.real > 1e-12  # r below a million
