@@ -1,4 +1,4 @@
-"""Refraction angles as people want them: one, a table over the nadir angle, methods compared."""
+"""Refraction angles to print: a single one, a table over the nadir angle, methods compared."""
 
 import math
 from dataclasses import dataclass
@@ -36,10 +36,11 @@ def one_angle(
 
     Heights [m above sea level], nadir angle [degrees], formula of the index (with its light, or by
     its name), radius of the earth [m]. ``distance`` [m] is the slant range: if the ray crosses the
-    ground's height twice, it says which crossing is meant. Published methods know only the near
-    one. ``status`` is ``ok``; ``beyond_grazing`` for two crossings without a distance, of which the
-    near one is taken; or ``far_branch`` if the far one is meant. ``ground_m`` is None where the
-    straight apparent ray passes over the horizon and only the bent one lands.
+    ground's height twice, it decides which crossing is taken. Published methods have only the near
+    one. In the result ``status`` is ``ok``; ``beyond_grazing`` for two crossings without a
+    distance, where the near one is taken; or ``far_branch`` where the far one is. ``ground_m``,
+    the displacement on the ground, is None where the straight apparent ray passes over the horizon
+    and only the bent one lands.
 
     >>> round(one_angle("us1976", 1e4, 0.0, 75.0, index="gyer")["r_c_arcsec"], 6)
     61.778543
@@ -89,13 +90,13 @@ def one_angle(
 class RadialTable:
     """The refraction of one camera height over one ground; (n,) arrays over the nadir angle.
 
-    ``r_c_rad`` is NaN where ``status`` (codes of `status_codes`) says why; ``shift_ground_m``, the
-    horizontal displacement on the ground, also where the straight apparent ray passes over the
-    horizon and only the bent one lands. For an image taken vertically ``radius_px`` is the distance
-    from the principal point and ``dr_px`` what to add to it, NaN without a principal distance.
-    ``wavelength_m`` [m, in vacuum] is that of the light.
-    ``k_rad`` is R at 45 degrees, the K of the Manual of Photogrammetry, and ``k_manual_rad`` the
-    value of its formula (NaN where it has none).
+    ``r_c_rad`` is NaN where there is no angle; ``status`` (codes of `status_codes`) gives the
+    reason. ``shift_ground_m``, the horizontal displacement on the ground, is also NaN where the
+    straight apparent ray passes over the horizon and only the bent one lands. For an image taken
+    vertically ``radius_px`` is the distance from the principal point and ``dr_px`` the correction
+    to be added to it; both are NaN without a principal distance. ``wavelength_m`` is that of the
+    light in vacuum. ``k_rad`` is R at 45 degrees, the K of the Manual of Photogrammetry, and
+    ``k_manual_rad`` the K by the formula of the manual (NaN where that is not defined).
     """
 
     h_c_m: float
@@ -121,7 +122,7 @@ def radial_table(
     radius: float = ray.DEFAULT_RADIUS_M,
     method: str = "spherical",
 ) -> RadialTable:
-    """Refraction over the nadir angle, for one flying height.
+    """Refraction angles and image shifts over the nadir angle, for one flying height.
 
     h_c, h_g : heights of camera and ground above sea level [m], the camera's the greater.
     nadir_angle : (n,) apparent nadir angles [rad], 0 to below 90 degrees.
@@ -149,7 +150,7 @@ def radial_table(
     r_c, status = ray.bend(air, h_c, h_g, np.sin(zeta), np.cos(zeta), radius=radius)
     ground = ground_displacement(h_c, h_g, zeta, r_c, radius)
     f = math.nan if focal_px is None else focal_px
-    # f (tan(zeta - R) - tan(zeta)), without cancellation; no negative zero.
+    # f (tan(zeta - R) - tan(zeta)), without cancellation; + 0.0 makes 0.0 of -0.0.
     dr_px = f * np.sin(-r_c) / (np.cos(zeta) * np.cos(zeta - r_c)) + 0.0
     return RadialTable(
         h_c_m=h_c,
@@ -167,7 +168,7 @@ def radial_table(
 
 
 def angles_to(largest_deg: float, step_deg: float = 5.0) -> Array:
-    """Nadir angles [rad] in whole steps from 0 up to, and with, the largest.
+    """Nadir angles [rad]: whole steps from 0 on, and ``largest_deg`` as the last.
 
     >>> (angles_to(12.0, 5.0) / DEGREE).round(9).tolist()
     [0.0, 5.0, 10.0, 12.0]
@@ -194,13 +195,14 @@ class Comparison:
     error_rad: Array
 
     def good_to(self, limit_rad: float) -> Array:
-        """(m, h) the largest nadir angle [rad] up to which a method errs by no more than a limit.
+        """(m, h) the last nadir angle [rad] of the table up to which all errors are within a limit.
 
-        Counts angles of the table: all up to this one are within the limit. NaN where the method
-        is not defined at all; -1 where it is outside already at the first angle.
+        NaN where the method is not defined at any angle; -1 where its error is beyond the limit
+        already at the first angle.
         """
         within = np.logical_and.accumulate(np.abs(self.error_rad) <= limit_rad, axis=2)
         count = within.sum(axis=2)
+        # With a count of 0 the index is -1: the -1.0 at the end.
         angle = np.append(self.nadir_angle_rad, -1.0)[count - 1]
         return np.where(np.isfinite(self.error_rad).any(axis=2), angle, np.nan)
 
@@ -213,10 +215,10 @@ def compare_methods(
     *,
     methods: tuple[str, ...] = ray.METHODS[1:],
 ) -> Comparison:
-    """Errors of refraction methods against ``spherical``.
+    """Errors of refraction methods against the method ``spherical`` in the same air.
 
-    profile : the air; its index should be that of the papers' light (``gyer``), or the errors
-        hold its difference from 0.589 um too.
+    profile : the air; its index should be that of the papers' light (``gyer``), 0.589 um: with
+        another light the errors of the published methods include the difference.
     h_c, h_g : heights of cameras (h,) and ground above sea level [m].
     nadir_angle : (z,) apparent nadir angles [rad], ascending.
 
@@ -232,7 +234,7 @@ def compare_methods(
     """
     angles = np.asarray(nadir_angle, dtype=np.float64)
     heights = np.asarray(h_c, dtype=np.float64)
-    place = (profile, heights[:, None], h_g, angles[None, :])
-    exact = ray.refraction_angle(*place)
-    error = np.stack([ray.refraction_angle(*place, method=method) - exact for method in methods])
+    rays = (profile, heights[:, None], h_g, angles[None, :])
+    exact = ray.refraction_angle(*rays)
+    error = np.stack([ray.refraction_angle(*rays, method=method) - exact for method in methods])
     return Comparison(methods, heights, h_g, angles, exact, error)

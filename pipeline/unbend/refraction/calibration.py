@@ -1,4 +1,4 @@
-"""Cameras by the name of a model or from a calibration report, and whether a camera can be one.
+"""Cameras from the parameters of a camera model or from a calibration report, and their checks.
 
 A model has parameters in pixels; the report of a metric camera is in millimetres.
 """
@@ -34,8 +34,8 @@ MODELS = _camera_models()
 SHORTEST_DISTANCE_PX = 10.0  # a focal length in millimetres is shorter than its image has pixels
 LONGEST_DISTANCE_PX = 1e6
 LARGEST_PARAMETER = 1e15
-"""Of a camera model. The coefficient of r^6 of a lens that sees a tenth of a degree is the largest;
-what a coefficient does to the image is compared by `refuse_impossible`.
+"""Of a camera model, as an absolute value. The largest possible one is the coefficient of r^6 of a
+lens with a field of view of 0.1 degree; `refuse_impossible` checks the effect of coefficients.
 """
 LARGEST_SIDE_PX = 1_000_000  # of an image, and the farthest that a principal point lies from it
 
@@ -73,7 +73,7 @@ def camera_of_model(
         fy = value_of.pop("fy")
     cx = value_of.pop("cx")
     cy = value_of.pop("cy")
-    _refuse_other_numbers(model, (width_px, height_px), (fx, fy), (cx, cy))
+    _refuse_impossible_numbers(model, (width_px, height_px), (fx, fy), (cx, cy))
     return Camera(
         width_px=width_px,
         height_px=height_px,
@@ -85,7 +85,7 @@ def camera_of_model(
     )
 
 
-def _refuse_other_numbers(
+def _refuse_impossible_numbers(
     model: str,
     size: tuple[int, int],
     distances: tuple[float, float],
@@ -130,27 +130,27 @@ LARGEST_FRAME_FIELD_DEG = 150.0
 LARGEST_FISHEYE_FIELD_DEG = 360.0
 
 LARGEST_STRETCH = 2.0
-"""Times that the farthest distance from the principal point grows by a distortion at most.
+"""Largest factor by which a distortion may increase a distance from the principal point.
 
 Pincushion distortions of real lenses are below 1.3; barrel distortions shorten distances.
 """
 
 _BORDER_POINTS = 9  # on each border of the image, both corners counted
-_SLACK_PX = 1.0  # a principal point may lie on the border
+_SLACK_PX = 1.0  # added to the limit: a principal point on the border has the distance 0
 
-# Where a distortion is looked at: circles about the principal point, and directions from there.
+# Points at which a distortion is checked: circles about the principal point, and directions.
 _CIRCLES = 200
-_AZIMUTHS = 25  # even ones, both ends counted; beside them those of the corners
-_ROUNDING = 1e-9  # of a radius
+_AZIMUTHS = 25  # evenly spaced, both ends counted; those of the corners are added
+_ROUNDING = 1e-9  # of a radius, as a share
 
 
 def is_fisheye(camera: Camera) -> bool:
-    """Whether the lens is equidistant, and no frame camera's."""
+    """Whether the lens is an equidistant fisheye; False for all frame cameras."""
     return isinstance(camera.distortion, OpenCVFisheye)
 
 
 def field_of_view(camera: Camera) -> tuple[float, float]:
-    """Angles [rad] seen across and down through the principal point, but for the distortion.
+    """Angles of view [rad] across and down, through the principal point and without distortion.
 
     >>> camera = Camera(2000, 1000, 1000.0, 1000.0, 1000.0, 500.0)
     >>> np.degrees(field_of_view(camera)).round(2).tolist()
@@ -166,7 +166,7 @@ def field_of_view(camera: Camera) -> tuple[float, float]:
 
 
 def refuse_impossible(camera: Camera) -> None:
-    """Refuse (PhysicsError) a camera that cannot be one.
+    """Refuse (PhysicsError) a camera with a field of view or a distortion that no camera has.
 
     CAMERA-FIELD: a frame camera that sees more than 150 degrees, or a fisheye that sees more than
     360. CAMERA-DISTORTION: a distortion that more than doubles a distance from the principal point.
@@ -190,10 +190,10 @@ def refuse_impossible(camera: Camera) -> None:
 
 
 def _refuse_large_distortion(camera: Camera) -> None:
-    """Refuse (PhysicsError CAMERA-DISTORTION) a distortion that moves points absurdly far outwards.
+    """Refuse (PhysicsError CAMERA-DISTORTION) a distortion that moves points too far outwards.
 
-    Points on the borders of the image are taken as undistorted. The distortion may move them to
-    `LARGEST_STRETCH` times their distance from the principal point, and not to nowhere (NaN).
+    Points on the borders of the image are taken as undistorted and are distorted. Their distance
+    from the principal point may become `LARGEST_STRETCH` times as long, and must not become NaN.
     """
     without_distortion = replace(camera, distortion=type(camera.distortion)())
     x, y = _border(camera)
@@ -216,21 +216,23 @@ def _refuse_large_distortion(camera: Camera) -> None:
 
 
 def _border(camera: Camera) -> tuple[Array, Array]:
-    """x and y (n,) [px] of points on the four borders of an image, its corners among them."""
+    """x and y (n,) [px] of points on the four borders of an image, its corners included."""
     across = np.linspace(0.0, camera.width_px, _BORDER_POINTS)
     down = np.linspace(0.0, camera.height_px, _BORDER_POINTS)
-    first = np.zeros(_BORDER_POINTS)
-    x = np.concatenate([across, across, first, first + camera.width_px])
-    y = np.concatenate([first, first + camera.height_px, down, down])
+    zeros = np.zeros(_BORDER_POINTS)
+    x = np.concatenate([across, across, zeros, zeros + camera.width_px])
+    y = np.concatenate([zeros, zeros + camera.height_px, down, down])
     return x, y
 
 
 def _refuse_turning_distortion(camera: Camera) -> None:
-    """Refuse (PhysicsError CAMERA-TURNS) a distortion that turns back inside the image."""
-    # Circles about the principal point, to where observations are outside_camera.
-    limit = float(getattr(camera.distortion, "limit", np.inf))
-    end = min(limit, float(np.tan(LARGEST_ANGLE_RAD)))
-    largest_theta = np.arctan(min(end, camera.largest_radius))
+    """Refuse (PhysicsError CAMERA-TURNS) a distortion that turns back inside the image.
+
+    Circles about the principal point are checked, to where observations are outside_camera.
+    """
+    calibrated = float(getattr(camera.distortion, "limit", np.inf))
+    stated_end = min(calibrated, float(np.tan(LARGEST_ANGLE_RAD)))
+    largest_theta = np.arctan(min(stated_end, camera.largest_radius))
     theta = np.linspace(0.0, largest_theta, _CIRCLES)[:, None]
     evenly = np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS)
     azimuth = np.append(evenly, _azimuths_of_corners(camera))
@@ -240,8 +242,8 @@ def _refuse_turning_distortion(camera: Camera) -> None:
     with np.errstate(all="ignore"):
         x, y = camera.project(u, v)
         folded = _is_folded(camera, u, v)
-    # Where the distortion turns, and nothing limits it earlier, the circle lies outside the image.
-    folded[-1] |= camera.largest_radius < end * (1.0 - _ROUNDING)
+    # If the last circle is not a stated end, the distortion turns back there.
+    folded[-1] |= camera.largest_radius < stated_end * (1.0 - _ROUNDING)
     folded &= _is_in_image(camera, x, y)
     if folded.any():
         circle, ray = np.argwhere(folded)[0]
@@ -253,20 +255,21 @@ def _refuse_turning_distortion(camera: Camera) -> None:
 
 
 def _is_folded(camera: Camera, u: Array, v: Array) -> Mask:
-    """Where the determinant of the distortion's derivatives is not positive."""
+    """Whether the distortion turns back at (u, v): the determinant of its derivatives is <= 0."""
     model = model_of(type(camera.distortion))
     uu, uv, vv = model.slopes(u, v, camera.distortion)
     return np.asarray(uu * vv - uv * uv) <= 0.0
 
 
 def _is_in_image(camera: Camera, x: Array, y: Array) -> Mask:
+    """Whether pixels are inside the format of the camera."""
     is_in_width = (x >= 0.0) & (x <= camera.width_px)
     is_in_height = (y >= 0.0) & (y <= camera.height_px)
     return np.asarray(is_in_width & is_in_height)
 
 
 def _azimuths_of_corners(camera: Camera) -> Array:
-    """(2, 2) angles [rad] at the principal point from the x axis to the corners of the image."""
+    """(2, 2) azimuths [rad] of the corners of the image about the principal point, from x to y."""
     x = np.array([0, camera.width_px])
     y = np.array([0, camera.height_px])
     right = (x - camera.cx_px) / camera.fx_px
@@ -280,36 +283,37 @@ DIRECTIONS = {
     "down": (0.0, 1.0),
     "up": (0.0, -1.0),
 }
-"""In the image, x to the right and y down."""
+"""Unit vectors of the directions in the image, x to the right and y down."""
 
 SENSES = {"distortion": 1.0, "correction": -1.0}
-"""What the lens does to ideal coordinates, or what is added to measured ones."""
+"""Sense of coefficients, and its sign in `GeneralFrame`. A distortion is added to ideal coordinates
+(by the lens), a correction to measured ones (to get ideal ones)."""
 
 LARGEST_DISAGREEMENT_MM = 0.002
-"""Farther than this the coefficients and the table of one report do not mean the same lens."""
+"""With a larger difference the coefficients and the table of a report are not for the same lens."""
 
 LARGEST_OFFSET = 0.25
-"""Part of the format by which no principal point of a metric camera is off its centre."""
+"""Largest offset of a metric camera's principal point from the centre, as a share of the format."""
 
 SMALLEST_PART = 0.95
 LARGEST_PART = 1.15
-"""Part of the format that pixels fill: scans have a border, others are not of this format."""
+"""Share of the format that the pixels fill: scans have a border; others are of another format."""
 
 _RADIAL_POWERS = np.arange(1, 10, 2)  # of r in dr
 _SLOPE_POWERS = np.arange(0, 10, 2)  # of r in d(dr)/dr, and of the focal length in k0 to k4
 _COEFFICIENTS = ("k0", "k1", "k2", "k3", "k4")  # of these powers
 _TO_CORNER = 0.6  # of the format's diagonal: to a corner, with an offset of the principal point
-_INVERTED_TO = 1e-17  # of a correction: how far its inversion is iterated
-_SMALLEST_SLOPE = 1e-9
-_LARGEST_SLOPE = 0.27
+_INVERSION_ERROR = 1e-17  # of a correction, to which its inversion is iterated
+_SMALLEST_SLOPE = 1e-9  # takes 2 steps
+_LARGEST_SLOPE = 0.27  # takes 30 steps
 _UNLIMITED = 1e9  # radius in units of the principal distance
 
 
 @dataclass(frozen=True, eq=False)
 class MetricReport:
-    """What the calibration report of a metric frame camera states, in millimetres.
+    """The calibration report of a metric frame camera, in millimetres.
 
-    Pairs are (across, down) or (x, y). With (x, y) from the PPBS and r their length [mm]
+    Pairs are (across, down) or (x, y) along ``axes``. With (x, y) from the PPBS, r its length [mm],
 
         dr = r (k0 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8),
         dx = p1 (r^2 + 2 x^2) + 2 p2 x y,   dx = b1 x + b2 y.
@@ -379,7 +383,10 @@ def _refuse_other_format(report: MetricReport, size: Array) -> None:
 
 
 def _affinity(report: MetricReport, to_image: Array) -> Array:
-    """(2, 2) what b1 and b2 of a report make of ideal coordinates, in the axes of the image."""
+    """(2, 2) matrix of the distortion by b1 and b2 of a report, in the axes of the image.
+
+    ``to_image`` (2, 2) takes the axes of the report to those of the image.
+    """
     stretch: Array = np.eye(2)
     stretch[0, 0] += report.coefficient("b1")
     stretch[0, 1] = report.coefficient("b2")
@@ -425,7 +432,10 @@ def _distortion_of_report(
 
 
 def _radial_of_report(report: MetricReport) -> tuple[Array, float]:
-    """(5,) k0 to k4 of a report, in agreement with its table, and the radius they hold to [mm]."""
+    """(5,) k0 to k4 of a report, and the radius [mm] up to which they are valid.
+
+    A table, by rising r, must agree with the coefficients; without any they are fitted to it.
+    """
     radial = np.array([report.coefficient(name) for name in _COEFFICIENTS])
     if report.table is None:
         return radial, report.radius_mm
@@ -433,28 +443,29 @@ def _radial_of_report(report: MetricReport) -> tuple[Array, float]:
     r, dr = np.asarray(columns, np.float64).T
     # To first order a correction is the distortion with the other sign.
     dr_of_report = dr * SENSES[sense] * SENSES[report.sense]
-    return _agreed(radial, r, dr_of_report), min(report.radius_mm, r[-1])
+    agreed = _fitted_or_checked(radial, r, dr_of_report)
+    return agreed, min(report.radius_mm, r[-1])
 
 
-def _inversion_steps(
-    radial: Array,
-    tangential: tuple[float, float],
-    corner_mm: float,
-) -> float:
-    """How many steps invert a correction to 1e-17, by its steepest slope out to a radius [mm]."""
+def _inversion_steps(radial: Array, tangential: tuple[float, float], corner_mm: float) -> float:
+    """Number of iterations that invert a correction to 1e-17.
+
+    Each multiplies the error by the slope of the correction; the largest one out to ``corner_mm``
+    is taken. ``radial`` (5,) are k0 to k4, ``tangential`` p1 and p2.
+    """
     shares = np.linspace(0.0, 1.0, 50)
     radius = corner_mm * shares[:, None]
     terms = radial * _RADIAL_POWERS * radius**_SLOPE_POWERS
     slope = np.abs(terms.sum(axis=1)).max()
     p1, p2 = tangential
-    slope += 6.0 * (abs(p1) + abs(p2)) * radius[-1, 0]
-    gain = np.clip(slope, _SMALLEST_SLOPE, _LARGEST_SLOPE)
-    steps = np.log(_INVERTED_TO) / np.log(gain)
+    slope += 6.0 * (abs(p1) + abs(p2)) * radius[-1, 0]  # dx and dy of p1, p2 change by 6 p r
+    error_factor = np.clip(slope, _SMALLEST_SLOPE, _LARGEST_SLOPE)
+    steps = np.log(_INVERSION_ERROR) / np.log(error_factor)
     return float(np.ceil(steps))
 
 
-def _agreed(radial: Array, r: Array, dr: Array) -> Array:
-    """(5,) k0 to k4 of a report once they agree with its table; fitted to it where all are zero.
+def _fitted_or_checked(radial: Array, r: Array, dr: Array) -> Array:
+    """(5,) k0 to k4: ``radial`` itself, or if all are zero those fitted to the table of a report.
 
     ``r`` and ``dr`` (n,) [mm] are those of the table. Refuses (PhysicsError CAMERA-REPORT) a table
     that differs by more than `LARGEST_DISAGREEMENT_MM`.
@@ -462,7 +473,7 @@ def _agreed(radial: Array, r: Array, dr: Array) -> Array:
     fit = "the coefficients"
     if not radial.any():
         fit = "a polynomial"
-        radial = _fitted(r, dr)
+        radial = _fitted_to_table(r, dr)
     powers = r[:, None] ** _RADIAL_POWERS
     apart_mm = np.abs(powers @ radial - dr)
     if not apart_mm.max() <= LARGEST_DISAGREEMENT_MM:
@@ -474,8 +485,11 @@ def _agreed(radial: Array, r: Array, dr: Array) -> Array:
     return radial
 
 
-def _fitted(r: Array, dr: Array) -> Array:
-    """(5,) k0 to k4 of the polynomial through a table, of fewer terms than the table has radii."""
+def _fitted_to_table(r: Array, dr: Array) -> Array:
+    """(5,) k0 to k4 of the polynomial dr(r) fitted to a table (n,) [mm] by least squares.
+
+    It has one term less than the table has radii above 0, but 1 to 5; further terms are 0.
+    """
     powers = r[:, None] ** _RADIAL_POWERS
     largest = r[-1] ** _RADIAL_POWERS
     radii = int(np.count_nonzero(r))

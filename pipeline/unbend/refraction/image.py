@@ -37,20 +37,21 @@ from unbend.refraction.uncertainty.sigmas import Sigmas, Uncertainty
 from unbend.refraction.window import OPTICAL_AXIS
 from unbend.units import Array, Integers, Mask, Rows
 
-# Rows of an image that follow each other on the average, below which it pays to sort them.
-_ROWS_OF_AN_IMAGE = 50
+# Mean number of successive rows of one exposure below which sorting them first is faster.
+_MIN_MEAN_RUN = 50
 
 
 @dataclass(frozen=True, eq=False)
 class Exposures:
-    """What the correction needs to know of each exposure; (s,) arrays.
+    """What the correction needs to know of each of s exposures; (s,) arrays.
 
     ``usable`` is False where an exposure has no position, attitude or cabin air; ``rotation``
-    (s, 3, 3) takes east-north-up to camera; ``refractivity_outside``, ``refractivity_cabin`` are
-    n - 1 on the two sides of the window (equal where nothing bends there); ``window_normal`` (s, 3)
-    unit vectors out of it in the camera frame, by default the optical axis;
-    ``principal_change_px`` what the air in the lens adds to the calibrated principal distance, by
-    default nothing; ``radius_m`` replaces the ellipsoid's radius in the ray's azimuth.
+    (s, 3, 3) takes east-north-up to the camera frame; ``height_m`` is above sea level.
+    ``refractivity_outside``, ``refractivity_cabin`` are n - 1 on the two sides of the window (equal
+    where nothing bends there); ``window_normal`` (s, 3) unit vectors out of it in the camera frame,
+    by default the optical axis; ``principal_change_px`` the change of the calibrated principal
+    distance by the air in the lens, by default 0; ``radius_m`` the radius of a sphere that replaces
+    the ellipsoid.
     """
 
     usable: Mask
@@ -65,14 +66,14 @@ class Exposures:
 
     @property
     def normals(self) -> Array:
-        """(s, 3) normals of the windows."""
+        """(s, 3) unit vectors out of the windows, in the camera frame."""
         if self.window_normal is None:
             return np.tile(OPTICAL_AXIS, (self.usable.size, 1))
         return self.window_normal
 
     @property
     def changes_px(self) -> Array:
-        """(s,) what is added to the principal distance."""
+        """(s,) changes of the principal distance by the air in the lens [px]."""
         if self.principal_change_px is None:
             return np.zeros(self.usable.size)
         return self.principal_change_px
@@ -98,39 +99,40 @@ class Exposures:
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """Corrected observations, with ``sigmas`` where they were asked for.
+    """Corrections of n observations; ``sigmas`` is None where they were not requested.
 
-    Arrays (n,), NaN where ``status`` says there is no correction. The corrected pixels are the
-    measured ones and ``dx_px``, ``dy_px``; of `apply_refraction` they are the displaced ones.
+    Arrays (n,), NaN where there is no correction; ``status`` gives the reason as a code of
+    `status_codes`. The corrected pixels are the sum of the measured ones and ``dx_px``, ``dy_px``;
+    in a result of `apply_refraction` they are the sum of the ideal ones and ``dx_px``, ``dy_px``.
 
-    ``shift_ground_m`` is the horizontal displacement, at the target's height, of the point where
-    the uncorrected straight ray would land. The stated calibration gives that ray to the measured
-    pixel: the metres are those of the shift in the image, by air, window and lens together. It is
-    also NaN where that ray passes over the horizon and only the bent one lands: the last 0.2 degree
-    of nadir angle from 10 km above sea level.
+    ``shift_ground_m`` is the horizontal distance, at the target's height, between the points where
+    the uncorrected and the corrected straight ray land. The uncorrected ray is that of the measured
+    pixel by the stated calibration, so that the distance includes air, window and lens. It is also
+    NaN where that ray passes over the horizon and only the bent one lands: the last 0.2 degree of
+    nadir angle from 10 km above sea level.
     """
 
     dx_px: Array
     dy_px: Array
     x_corrected_px: Array
     y_corrected_px: Array
-    zeta_c_rad: Array
-    r_c_rad: Array
-    r_cc_rad: Array
+    zeta_c_rad: Array  # apparent nadir angle outside the window
+    r_c_rad: Array  # refraction angle of the atmosphere
+    r_cc_rad: Array  # refraction angle at the window
     shift_ground_m: Array
     status: NDArray[np.uint8]
     sigmas: Sigmas | None = None
 
-    def rows(self, which: Rows | slice) -> Corrections:
-        """Some of the rows; those of a slice can be filled."""
+    def rows(self, selection: Rows | slice) -> Corrections:
+        """The selected rows. Those of a slice are views: filling them fills these corrections."""
         columns: dict[str, Any] = {}
         for name in COLUMNS:
-            columns[name] = getattr(self, name)[which]
-        sigmas = None if self.sigmas is None else self.sigmas.rows(which)
-        return Corrections(**columns, status=self.status[which], sigmas=sigmas)
+            columns[name] = getattr(self, name)[selection]
+        sigmas = None if self.sigmas is None else self.sigmas.rows(selection)
+        return Corrections(**columns, status=self.status[selection], sigmas=sigmas)
 
     def to_pandas(self) -> Any:
-        """The corrections as a pandas DataFrame, status in words."""
+        """The corrections as a pandas DataFrame, with names of statuses instead of codes."""
         import pandas as pd
 
         columns = {name: getattr(self, name) for name in COLUMNS}
@@ -164,14 +166,16 @@ def correct_observations(
     camera : interior orientation; corrected pixels are distorted again.
     table : the air outside and how rays bend in it, from `rays_by`.
     distance_m : (n,) slant ranges [m], NaN where unknown; see `bend`.
-    uncertainty : asks for ``sigmas``, from `uncertainty_of`; sigma_h_g (n,) that of ``h_g`` [m].
+    uncertainty : from `uncertainty_of`; with it the result has ``sigmas``.
+    sigma_h_g : (n,) standard deviations of ``h_g`` [m], for ``sigmas``; NaN where unknown.
 
-    The shift (dx, dy) is no difference of directions: good to 1e-10 px, whatever the size of the
-    coordinates. Rows of one exposure that follow each other are fastest.
+    The shift (dx, dy) is computed directly, not as a difference of two directions: good to
+    1e-10 px, whatever the size of the coordinates. Fastest where the rows of each exposure follow
+    each other.
     """
     n = x_px.size
-    distance = _or_unknown(distance_m, n)
-    sigma_h_g = _or_unknown(sigma_h_g, n)
+    distance = _values_or_nan(distance_m, n)
+    sigma_h_g = _values_or_nan(sigma_h_g, n)
     if _pays_to_sort(exposure):
         order = np.argsort(exposure, kind="stable")
         sorted_corrections = correct_observations(
@@ -187,39 +191,39 @@ def correct_observations(
             sigma_h_g=sigma_h_g[order],
         )
         return sorted_corrections.rows(np.argsort(order))
-    # In one piece: the system hands large ones out in large pages, which take less time.
+    # One allocation for all columns: the system gives it large pages, which take less time.
     columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
-    room = Corrections(
+    corrections = Corrections(
         status=np.empty(n, np.uint8),
         sigmas=None if uncertainty is None else Sigmas.room(n),
         **columns,
     )
     observations = observation_columns(x_px, y_px, h_g, sigma_h_g, exposure)
-    task = _Correction(camera.constants, exposures.columns, table, uncertainty)
+    corrector = _BlockCorrector(camera.constants, exposures.columns, table, uncertainty)
 
     def correct_block(rows: slice) -> None:
-        task.fill(room.rows(rows), observations.part(rows), distance[rows])
+        corrector.fill(corrections.rows(rows), observations.part(rows), distance[rows])
 
     in_blocks(correct_block, n)
-    return room
+    return corrections
 
 
-def _or_unknown(values: Array | None, count: int) -> Array:
-    """Values, or NaN for each row where none are given."""
+def _values_or_nan(values: Array | None, count: int) -> Array:
+    """The values, or ``count`` times NaN where ``values`` is None."""
     return np.full(count, np.nan) if values is None else values
 
 
 def _pays_to_sort(exposure: Integers) -> bool:
-    """Whether rows of an exposure follow each other so seldom that sorting them is faster."""
+    """Whether the exposure changes so often from row to row that sorting the rows is faster."""
     steps = np.diff(exposure)
     changes = int(np.count_nonzero(steps))
     is_sorted = bool(np.all(steps >= 0))
-    return changes * _ROWS_OF_AN_IMAGE > exposure.size and not is_sorted
+    return changes * _MIN_MEAN_RUN > exposure.size and not is_sorted
 
 
 @dataclass(frozen=True, eq=False)
-class _Correction:
-    """What all blocks of a correction share."""
+class _BlockCorrector:
+    """Corrects one block of observations after the other; all share these inputs."""
 
     camera: CameraConstants
     exposures: ExposureColumns
@@ -227,13 +231,14 @@ class _Correction:
     uncertainty: Uncertainty | None
 
     def fill(self, part: Corrections, observed: ObservationColumns, distance: Array) -> None:
-        """Fill the corrections of some observations.
+        """Fill ``part``, the rows of the corrections that belong to the ``observed`` points.
 
         ``distance``: slant ranges (n,) [m], NaN where unknown.
         """
         from unbend.refraction.kernels.shifts import fill_shifts
 
-        rays, part.r_cc_rad[:], status_of_ray = outgoing_rays(observed, self.camera, self.exposures)
+        outgoing = outgoing_rays(observed, self.camera, self.exposures)
+        rays = outgoing.rays
         r_c, status_of_bend = bend(
             self.table,
             rays[CAMERA_HEIGHT],
@@ -243,8 +248,9 @@ class _Correction:
             radius=rays[SPHERE_RADIUS],
             distance=distance,
         )
-        status = np.where(status_of_ray == OK, status_of_bend, status_of_ray)
+        status = np.where(outgoing.status == OK, status_of_bend, outgoing.status)
         traced = TracedColumns(rays, r_c, status)
+        part.r_cc_rad[:] = outgoing.r_cc
         part.r_c_rad[:] = r_c
         part.status[:] = status
         part.zeta_c_rad[:] = np.arctan2(rays[NADIR_SINE], rays[NADIR_COSINE])
@@ -272,7 +278,7 @@ def fill_sigmas(
     exposures: ExposureColumns,
     uncertainty: Uncertainty,
 ) -> None:
-    """Fill the standard deviations of some observations."""
+    """Fill the standard deviations ``sigmas`` of the corrections of observed points."""
     from unbend.refraction.kernels.sigma import fill_sigma_columns
 
     pose = (camera, exposures.rotation)
@@ -283,7 +289,7 @@ def fill_sigmas(
 def outgoing_rays(
     observed: ObservationColumns, camera: CameraConstants, exposures: ExposureColumns
 ) -> OutgoingRays:
-    """The rays that pixels see outside the window."""
+    """The rays of observed points outside the window, with R_cc and a status."""
     from unbend.refraction.kernels.outgoing import fill_outgoing_rays
 
     n = observed.x.size
@@ -295,10 +301,13 @@ def outgoing_rays(
 def straight_reach(
     h_c: ArrayLike, h_g: ArrayLike, cos_zeta: ArrayLike, *, radius: ArrayLike, far: ArrayLike
 ) -> Array:
-    """How far away [m] straight lines reach a height; NaN where they never get there.
+    """Distance [m] along straight lines from the height h_c to the height h_g; NaN if not reached.
 
-    Heights above sea level [m], cosine of the nadir angle, radius of the sphere [m], and whether
-    the second of two crossings is meant (downwards; upwards there is one). Arguments broadcast.
+    h_c, h_g : heights above sea level [m]; broadcast with the others.
+    cos_zeta : cosine of the nadir angle of the line at h_c.
+    radius : of the sphere [m].
+    far : a line that looks down reaches h_g twice: True takes the second crossing. A line upwards
+        reaches it once, whatever ``far`` is.
 
     >>> straight_reach(3000.0, 1000.0, 0.8, radius=6371e3, far=[False, True]).round(3).tolist()
     [2500.221, 10195899.779]
@@ -323,27 +332,31 @@ def straight_reach(
 def ground_displacement(
     h_c: float, h_g: float, zeta_c: ArrayLike, r_c: ArrayLike, radius: float, *, far: bool = False
 ) -> Array:
-    """How far [m] refraction angles move the points where straight rays reach a height.
+    """Distance [m] between the points where apparent and true straight ray reach the height h_g.
 
-    ``zeta_c``, ``r_c`` [rad] broadcast. NaN where the apparent line passes over the horizon, though
-    the bent ray may land. ``far`` takes the second crossing of the height, for rays of the status
-    ``far_branch``.
+    The apparent ray leaves the camera at the nadir angle ``zeta_c``, the true one at
+    ``zeta_c - r_c`` [rad]; both broadcast. NaN where the apparent one passes over the horizon,
+    though the bent ray may land. ``far`` takes the second crossing of the height, for rays of the
+    status ``far_branch``.
 
     >>> ground_displacement(10000.0, 0.0, 0.7853981633974483, 7.94e-5, 6371000.0).round(3).item()
     1.592
     """
+    # The first axis has two rows: the apparent ray, the true ray.
     angles = np.stack(np.broadcast_arrays(zeta_c, np.subtract(zeta_c, r_c)))
     reach = straight_reach(h_c, h_g, np.cos(angles), radius=radius, far=far)
-    apparent, true = np.stack([np.sin(angles), -np.cos(angles)], axis=1) * reach[:, None]
-    along = apparent[0] - true[0]
-    down = apparent[1] - true[1]
-    return np.asarray(np.sqrt(along**2 + down**2))
+    across = np.sin(angles) * reach
+    up = -np.cos(angles) * reach
+    across_apart = across[0] - across[1]
+    up_apart = up[0] - up[1]
+    return np.asarray(np.sqrt(across_apart**2 + up_apart**2))
 
 
 def lattice_nodes(camera: Camera, columns: int, rows: int) -> tuple[Array, Array]:
-    """Pixels of a grid from corner to corner of a camera's format.
+    """Pixels x, y (rows * columns,) of a grid over a camera's format, its corners included.
 
-    Nodes across and down, 2 or more; x, y (rows * columns,) in COLMAP's pixels, row by row.
+    ``columns``, ``rows``: numbers of nodes across and down, 2 or more. The nodes are evenly spaced
+    and listed row by row, in COLMAP's pixels.
 
     >>> x, y = lattice_nodes(Camera(400, 300, 500.0, 500.0, 200.0, 150.0), 3, 2)
     >>> x.tolist(), y.tolist()

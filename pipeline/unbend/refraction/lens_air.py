@@ -1,4 +1,4 @@
-"""The air between the elements of a lens that nobody measured.
+"""Change of a principal distance by the air in the lens, where no derivatives were measured.
 
 A lens is weaker in denser air, because its glass stands out less: its principal distance c follows
 n, the refractive index of the air in it, dc/c = K dn. For a thin lens whose image plane follows the
@@ -18,19 +18,19 @@ from unbend.refraction.camera.camera import LensInAir, principal_change
 from unbend.units import Array
 
 CHANGE_PER_INDEX = 2.0
-"""K: the middle of the three of Meier."""
+"""K = (dc / c) / dn [1]: the middle of the range of Meier's three figures, 1.5 to 2.5."""
 
 SIGMA_PER_INDEX = 0.5
-"""Of K: the farthest of the three of Meier from their middle."""
+"""Standard deviation of K: half of the range of Meier's three figures."""
 
 LABORATORY_PRESSURE_PA = 101_325.0
 LABORATORY_TEMPERATURE_K = 293.15
-"""Of the air in which laboratories calibrate, where nothing is stated: 1013.25 hPa, 20 degC."""
+"""Assumed air of a calibration in a laboratory: 1013.25 hPa, 20 degC."""
 
 
 @dataclass(frozen=True)
 class TypicalLens:
-    """A lens whose derivatives nobody measured, calibrated in air of a known state.
+    """A lens without measured derivatives, calibrated in air of a known state.
 
     ``principal_distance_px`` was calibrated at ``reference_pressure_pa`` and
     ``reference_temperature_k``.
@@ -43,10 +43,11 @@ class TypicalLens:
     def change_px(
         self, pressure_pa: ArrayLike, temperature_k: ArrayLike, index: IndexModel
     ) -> Array:
-        """What the air in the lens adds to the calibrated principal distance [px].
+        """Change [px] of the calibrated principal distance c by the air in the lens: K c dn.
 
-        ``pressure_pa``, ``temperature_k`` of the air in the lens broadcast; NaN gives NaN. Its
-        standard deviation is a quarter of it. Without humidity, which is 1 ppm in the tropics.
+        ``pressure_pa``, ``temperature_k`` of the air in the lens broadcast; NaN gives NaN. The
+        standard deviation of the change is a quarter of it. Humidity is neglected: in the tropics
+        it changes n by 1 ppm.
 
         >>> lens = TypicalLens(20000.0)
         >>> at_6_km = lens.change_px([101325.0, 47218.0], [293.15, 249.19], IndexModel())
@@ -66,16 +67,20 @@ AnyLens = LensInAir | TypicalLens
 def lens_change(
     lens: AnyLens, pressure_pa: ArrayLike, temperature_k: ArrayLike, index: IndexModel
 ) -> Array:
-    """What the air in a lens, measured or typical, adds to its principal distance [px]."""
+    """Change [px] of a principal distance by the air in the lens, with derivatives or without.
+
+    ``pressure_pa``, ``temperature_k`` of the air in the lens broadcast; NaN gives NaN. ``index`` is
+    used for a `TypicalLens` only.
+    """
     if isinstance(lens, TypicalLens):
         return lens.change_px(pressure_pa, temperature_k, index)
     return principal_change(lens, pressure_pa, temperature_k)
 
 
 def sigma_of_change(lens: AnyLens, change_px: Array) -> Array:
-    """The standard deviation [px] of changes of a principal distance by what the lens is.
+    """Standard deviations [px] of changes from `lens_change`.
 
-    A lens with derivatives of its own has none.
+    A quarter of the change for a `TypicalLens`; 0 for a lens with measured derivatives.
     """
     if isinstance(lens, TypicalLens):
         return np.asarray(np.abs(change_px) * (SIGMA_PER_INDEX / CHANGE_PER_INDEX))

@@ -32,7 +32,7 @@ ANGLE_WAVELENGTH = Code(
 
 
 def angle_wavelength(*, index: str) -> PhysicsError:
-    """A wavelength that the formula of the refractive index does not know."""
+    """A wavelength is given with a formula of the refractive index for one fixed wavelength."""
     return PhysicsError(
         ANGLE_WAVELENGTH,
         "the index {index!r} is for one fixed wavelength",
@@ -55,7 +55,10 @@ CAMERA_DISTORTION = Code(
 def camera_distortion(
     *, x: float, y: float, distance_px: float, distorted_px: float
 ) -> PhysicsError:
-    """The distortion of a camera is larger than that of any lens."""
+    """The distortion moves the pixel (x, y) too far away from the principal point.
+
+    Its distance is ``distance_px`` without and ``distorted_px`` with the distortion.
+    """
     return PhysicsError(
         CAMERA_DISTORTION,
         (
@@ -85,7 +88,7 @@ CAMERA_FIELD = Code(
 
 
 def camera_field(*, fx_px: float, width_px: int, height_px: int, seen_deg: float) -> PhysicsError:
-    """With this principal distance, the field of view would be more than 150 degrees."""
+    """With this principal distance the field of view is ``seen_deg``, more than possible."""
     return PhysicsError(
         CAMERA_FIELD,
         (
@@ -120,7 +123,7 @@ def camera_format(
     part_of_width: float,
     part_of_height: float,
 ) -> PhysicsError:
-    """The pixels of a report do not fill its format."""
+    """The pixels of an image do not fill the format of its report; parts are shares (0 to 1)."""
     return PhysicsError(
         CAMERA_FORMAT,
         "{width_px} x {height_px} pixels of {pixel_x_um:g} x {pixel_y_um:g} um fill "
@@ -146,7 +149,7 @@ CAMERA_MODEL = Code(
 
 
 def camera_parameters(*, model: str, count: int, names: str, given: str) -> PhysicsError:
-    """A camera model is given too few, too many or infinite parameters."""
+    """The parameters of a camera model are too few, too many or impossible."""
     return PhysicsError(
         CAMERA_MODEL,
         "{model} has {parameters}, {names}; {given} are given",
@@ -175,7 +178,7 @@ def camera_numbers(*, model: str, size: str, distances: str, point: str) -> Phys
 
 
 def camera_model(*, model: str, models: str) -> PhysicsError:
-    """The camera model is not known, or has another number of parameters."""
+    """The camera model is not known; ``models`` lists those that are."""
     return PhysicsError(
         CAMERA_MODEL,
         "{model!r} is not a supported camera model",
@@ -223,7 +226,10 @@ CAMERA_REPORT = Code(
 
 
 def camera_report(*, fit: str, apart_um: float, radius_mm: float) -> PhysicsError:
-    """The table of a calibration report and its coefficients (``fit``) differ."""
+    """The table of a calibration report and its coefficients differ.
+
+    ``fit`` names what differs: "the coefficients" of the report or "a polynomial" for the table.
+    """
     return PhysicsError(
         CAMERA_REPORT,
         "the table and {fit} differ by {apart_um:.1f} um at a radius of {radius_mm:.1f} mm",
@@ -289,7 +295,7 @@ METHOD_SPAN = Code(
 
 
 def method_span(*, where: object, lowest: float, highest: float) -> PhysicsError:
-    """A parabola of the refractivity cannot be fitted over these heights."""
+    """A parabola of the refractivity cannot be fitted over these heights [m]."""
     return PhysicsError(
         METHOD_SPAN,
         "a parabola cannot be fitted from {lowest:.0f} to {highest:.0f} m",
@@ -346,7 +352,7 @@ RADIAL_ANGLE = Code(
 
 
 def radial_angle(*, least_deg: float, largest_deg: float) -> PhysicsError:
-    """A radial table is to begin above the nadir, or to end at the horizon or beyond."""
+    """A radial table contains angles below 0, or at the horizon or beyond."""
     return PhysicsError(
         RADIAL_ANGLE,
         (
@@ -360,7 +366,7 @@ def radial_angle(*, least_deg: float, largest_deg: float) -> PhysicsError:
 
 
 def radial_angle_angles_to(*, largest_deg: float, step_deg: float) -> PhysicsError:
-    """Nadir angles of a radial table are not possible: their largest one, or their step."""
+    """The largest nadir angle or the step of a radial table is not possible."""
     return PhysicsError(
         RADIAL_ANGLE,
         "nadir angles up to {largest_deg:g} degrees in steps of {step_deg:g} are not possible",
@@ -379,7 +385,7 @@ RADIAL_FOCAL = Code(
 
 
 def radial_focal(*, focal_px: float) -> PhysicsError:
-    """A principal distance that is none."""
+    """The principal distance is not a positive number."""
     return PhysicsError(
         RADIAL_FOCAL,
         "invalid principal distance: {focal_px:g} px",
@@ -468,7 +474,7 @@ CHECK_RAY = "check heights, angle and radius (inside the package angles are radi
 
 
 def ray_bad_measurement(*, where: str) -> PhysicsError:
-    """Heights or the angle of a ray are no numbers."""
+    """The heights, the angle or the radius of a ray are not valid numbers; ``where`` lists them."""
     return PhysicsError(
         RAY_BAD_MEASUREMENT,
         "heights and angle (0 to 180 degrees) must be numbers, the radius above 0",
@@ -478,7 +484,7 @@ def ray_bad_measurement(*, where: str) -> PhysicsError:
 
 
 def nadir_angles_outside(*, where: str, count: int, total: int, first: float) -> PhysicsError:
-    """Nadir angles that are numbers outside 0 to pi."""
+    """``count`` of ``total`` nadir angles are outside 0 to pi; the ``first`` is at ``where``."""
     return PhysicsError(
         RAY_BAD_MEASUREMENT,
         "{count} of {total} nadir angles are outside 0 to pi, the first is {first:.10g}",
@@ -500,7 +506,7 @@ RAY_MISSES_GROUND = Code(
 
 
 def ray_misses_ground(*, where: str) -> PhysicsError:
-    """A ray turns upwards above its target."""
+    """A ray never reaches the height of its target; ``where`` lists heights and angle."""
     return PhysicsError(
         RAY_MISSES_GROUND,
         "the ray never reaches the target's height",
@@ -518,7 +524,7 @@ RAY_OUTSIDE_PROFILE = Code(
 
 
 def ray_outside_profile(*, where: str, bottom_m: float, top_m: float, method: str) -> PhysicsError:
-    """The profile or the method ends before the ray does."""
+    """The profile or the method does not cover the heights of a ray."""
     return PhysicsError(
         RAY_OUTSIDE_PROFILE,
         "the profile ({bottom_m:.0f} to {top_m:.0f} m) or the method ({method}) does not cover "

@@ -1,7 +1,8 @@
-"""The tables of the three papers, recomputed: as printed, as published, and exact.
+"""The tables of three papers and their recomputation: as printed, as published, and exact.
 
-*As published* is the paper's own method, *exact* the spherical kernel of this package in the same
-air. `paper_tables` returns columns; the printed figures stand in ``refraction/data``.
+*As published* is computed by the method of the paper, *exact* by the spherical kernel of this
+package in the same air. `paper_tables` returns columns. The printed figures are in
+``refraction/data``.
 """
 
 import csv
@@ -37,15 +38,15 @@ _DIAGONAL = 45.0 * DEGREE
 _HALF_ROOT = math.sqrt(0.5)  # sine and cosine of 45 degrees
 
 _MILLIONTH = 1e-6  # unit of the printed n - 1
-_ABOVE_GROUND_RAD = 1e-12  # less nadir angle, 2e-6 arcsec of R_c, so that rays do not miss it
+_LESS_NADIR_ANGLE_RAD = 1e-12  # so that grazing rays reach the ground; 2e-6 arcsec of R_c
 
-_SERIES_TERMS = 8  # of exp(step u): 1e-10 over 1 km
+_SERIES_TERMS = 8  # of the exponential of a step of log density: 1e-10 over 1 km
 _INDEX_PER_DENSITY = 226e-6  # (n - 1) / rho [m3 kg-1] (Bertram, Eq. 7)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Figures:
-    """The figures of one quantity in a table, by the columns of `PaperTable`; they broadcast."""
+    """The figures of one quantity in a table, as columns of `PaperTable`, which broadcast."""
 
     table: str
     quantity: str
@@ -76,9 +77,9 @@ def gyer_air() -> Profile:
     """The air behind Gyer's Tables 3 to 7.
 
     The temperatures of ARDC 1959, which his Table 2 shows (its heading says 1976), with M0 and R*
-    as he states them after Eq. 53, and Eq. 13. With ARDC's own constants, 5e-5 apart, Table 2 fits
-    better and Tables 3 and 4 less well (0.0151 arcsec for 0.0146 at worst; 347 of 440 entries to
-    the printed digit for 363).
+    as he states them after Eq. 53, and Eq. 13. With ARDC's own constants, which differ by 5e-5,
+    Table 2 fits better and Tables 3 and 4 less well (at worst 0.0151 arcsec instead of 0.0146; 347
+    of 440 entries to the printed digit instead of 363).
     """
     ardc = standard_atmosphere("ardc1959", index="gyer")
     edge = ardc.layers.edge
@@ -145,7 +146,7 @@ class _TableRays:
         )
 
     def angles(self, method: Method, air: Profile, **options: float) -> Array:
-        """Refraction angles [rad] by a method."""
+        """Refraction angles [rad] of these rays by a method; ``options`` are passed on to it."""
         zeta_c = self.zeta_c_deg * DEGREE
         return np.asarray(method(air, self.h_c_m, self.h_g_m, zeta_c, GYER_RADIUS_M, **options))
 
@@ -168,7 +169,7 @@ def tables_3_4(air: Profile) -> Iterator[Figures]:
 
 
 def table_5(air: Profile) -> Iterator[Figures]:
-    """Table 5, what the plane form lacks."""
+    """Table 5, R_c of the spherical form minus that of the plane form."""
     table = printed_table("gyer1996_table5")
     rays = _TableRays.of(table)
     plane_by_steps = rays.angles(plane_first_term, air, step=STEP_M)
@@ -188,7 +189,7 @@ def table_5(air: Profile) -> Iterator[Figures]:
 
 
 def table_6(air: Profile) -> Iterator[Figures]:
-    """Table 6, rays that are level at the ground."""
+    """Table 6, rays that are horizontal at the ground."""
     table = printed_table("gyer1996_table6")
     h_c = table["h_c_km"] * 1e3
     h_g = table["h_g_km"] * 1e3
@@ -197,9 +198,9 @@ def table_6(air: Profile) -> Iterator[Figures]:
     zeta_c = np.arcsin(k / ((1.0 + air.refractivity(h_c)) * (GYER_RADIUS_M + h_c)))
     zeta_c_deg = zeta_c / DEGREE
     published = gyer1996(air, h_c, h_g, zeta_c, GYER_RADIUS_M)
-    # A rounding error above the true angle would already miss the ground.
-    above_ground = zeta_c - _ABOVE_GROUND_RAD
-    exact = np.asarray(refraction_angle(air, h_c, h_g, above_ground, GYER_RADIUS_M))
+    # A ray with an angle that is too large by a rounding error misses the ground.
+    steeper = zeta_c - _LESS_NADIR_ANGLE_RAD
+    exact = np.asarray(refraction_angle(air, h_c, h_g, steeper, GYER_RADIUS_M))
     # His distance is the arc at sea level. It has no exact value here: computed from the exact R_c
     # it would be uncertain, since 1 arcsec of R_c makes 2 km of distance.
     radius = np.full(h_c.shape, GYER_RADIUS_M)
@@ -278,7 +279,7 @@ def table_7(air: Profile) -> Iterator[Figures]:
 
 
 def saastamoinen_figures() -> Iterator[Figures]:
-    """The figures of Saastamoinen 1974, which stand in his text."""
+    """The figures of Saastamoinen 1974, which are in his text."""
     air = standard_atmosphere("us1962", index="gyer")
     yield from compartment_at_6000_m(air)
     yield largest_error(
@@ -300,7 +301,7 @@ def saastamoinen_figures() -> Iterator[Figures]:
 def compartment_at_6000_m(air: Profile) -> Iterator[Figures]:
     """The compartment at 6000 m, p. 300 (Eq. 9 after Eq. 3a)."""
     h_c = 6000.0
-    # He works in whole microradians.
+    # (n - 1) 1e6 = 79 p / T of the air outside (H) and in the cabin (A); p [hPa], whole numbers.
     n_h = round(79.0 * 472.0 / 249.0)
     n_a = round(79.0 * 747.0 / 278.0)
     r_ican = saastamoinen.saastamoinen1974_ican(air, h_c, 0.0, _DIAGONAL, 0.0)
@@ -344,7 +345,7 @@ def compartment_at_6000_m(air: Profile) -> Iterator[Figures]:
 def largest_error(
     air: Profile, *, quantity: str, method: Method, highest_m: float, printed: float
 ) -> Figures:
-    """The largest error of a formula up to a height, against Eq. 2 and exact, p. 297."""
+    """Largest error of a formula from 1000 to ``highest_m``, against Eq. 2 and exact (p. 297)."""
     h_c = np.arange(1000.0, highest_m + 1.0, 500.0)
     by_method = method(air, h_c, 0.0, _DIAGONAL, 0.0)
     by_eq_2 = saastamoinen.saastamoinen1974(air, h_c, 0.0, _DIAGONAL, 0.0)
@@ -363,12 +364,12 @@ def largest_error(
 
 
 def hand_sum(z: Array, density: Array, carried: float | None = None) -> tuple[Array, Array]:
-    """Bertram's trapezoid sum over printed densities, unrounded (1966, Tables 1 to 4).
+    """Heights [m] and refraction at 45 degrees [rad] (n - 1,) by Bertram's sum (1966, Tables 1-4).
 
-    ``z``, ``density`` (n,) are heights [m] and densities there [kg m-3]; ``carried`` the sum at the
-    first entry, where an earlier table has brought it so far; without it the first entry closes the
-    triangle, or trapezoid, that begins at sea level. Returns (n - 1,) heights of the entries [m]
-    and refraction at 45 degrees [rad].
+    ``z``, ``density`` (n,) are heights [m] and printed densities [kg m-3]; results are for the
+    middles h of the intervals. R = c / h times the integral of -z d(density) from 0 to h, with
+    c = (n - 1) / density, by trapezoids without rounding. ``carried`` is the integral to the first
+    middle from an earlier table; without it a triangle from sea level is taken.
 
     >>> z, r = hand_sum(np.array([0.0, 1000.0, 2000.0]), np.array([1.225, 1.112, 1.007]))
     >>> z.tolist(), (r * 1e6).round(1).tolist()
@@ -380,8 +381,8 @@ def hand_sum(z: Array, density: Array, carried: float | None = None) -> tuple[Ar
         interval = z[1] - z[0]
         carried = half_product[0] * middle[0] / interval
     steps = np.cumsum(half_product[1:] + half_product[:-1])
-    running = carried + np.concatenate([[0.0], steps])
-    return middle, _INDEX_PER_DENSITY * running / middle
+    integral = carried + np.concatenate([[0.0], steps])
+    return middle, _INDEX_PER_DENSITY * integral / middle
 
 
 _BERTRAM_TABLES = {
@@ -398,7 +399,7 @@ def bertram_figures() -> Iterator[Figures]:
     for table, name in _BERTRAM_TABLES.items():
         printed = printed_table(name)
         levels = printed_table(f"{name}_density")
-        # Table 2 begins with the sum that Table 1 has reached.
+        # Table 2 continues the sum of Table 1, and begins with its last value.
         carried = printed["running_sum"][0] if table == "2" else None
         h_c, r = hand_sum(levels["z_m"], levels["density_kg_m3"], carried)
         if table in _ARDC_TABLES:
@@ -421,12 +422,16 @@ def bertram_figures() -> Iterator[Figures]:
 
 
 def air_of_densities(z: Array, density: Array) -> RayTable:
-    """Air whose log density is linear between heights ``z`` [m], and goes on to sea level."""
+    """Air with a ``density`` (n,) [kg m-3] that is exponential between heights ``z`` (n,) [m].
+
+    Below the first height the exponential of the first interval goes on to sea level.
+    """
     logs = np.log(density)
     if z[0] > 0.0:
         slope = (logs[1] - logs[0]) / (z[1] - z[0])
         logs = np.append(logs[0] - slope * z[0], logs)
         z = np.append(0.0, z)
+    # In each interval density = exp(log at its bottom) times the power series of exp(step u).
     power = np.arange(_SERIES_TERMS)
     factor = np.array([1.0 / math.factorial(i) for i in range(_SERIES_TERMS)])
     polynomial = factor * np.diff(logs)[:, None] ** power
@@ -435,18 +440,18 @@ def air_of_densities(z: Array, density: Array) -> RayTable:
 
 @dataclass(frozen=True, eq=False)
 class PaperTable:
-    """A paper's figures in long form, one row a figure, and notes about them.
+    """The figures of a paper in long form, one in each row, and notes about them.
 
-    ``columns`` holds arrays of one length: table, quantity, unit (strings), h_c_m, h_g_m,
-    zeta_c_deg, printed, as_published, exact, difference (printed - exact). What a row does not
-    have is NaN. ``notes`` say where printed and exact part, and why.
+    ``columns`` are arrays of one length: table, quantity, unit (strings), h_c_m, h_g_m,
+    zeta_c_deg, printed, as_published, exact, difference (printed - exact). Missing numbers are NaN.
+    ``notes`` explain where printed and exact figures differ.
     """
 
     columns: dict[str, NDArray[np.generic]]
     notes: tuple[str, ...]
 
     def rows(self) -> list[dict[str, str | float | None]]:
-        """The figures row by row, None for what is not there."""
+        """The figures row by row, by names of columns; None in place of NaN."""
         columns = [column.tolist() for column in self.columns.values()]
         rows: list[dict[str, str | float | None]] = []
         for values in zip(*columns, strict=True):
@@ -459,9 +464,9 @@ class PaperTable:
 
 
 def paper_tables(paper: str) -> PaperTable:
-    """The tables of a paper beside their recomputation.
+    """The figures of a paper as printed, as published and exact.
 
-    ``paper`` is one of gyer1996, saastamoinen1974 and bertram1966. Gyer's take about a second.
+    ``paper`` is one of gyer1996, saastamoinen1974 and bertram1966. Those of Gyer take a second.
 
     >>> table = paper_tables("saastamoinen1974")
     >>> row = table.columns["quantity"].tolist().index("R + Delta R")
@@ -477,7 +482,7 @@ def paper_tables(paper: str) -> PaperTable:
 
 
 def _columns_of(all_figures: list[Figures]) -> dict[str, NDArray[Any]]:
-    """The figures of all quantities one below the other, by the names of the fields."""
+    """Columns by the names of the fields of `Figures`, with all figures one below the other."""
     names = [field.name for field in fields(Figures)]
     blocks = []
     for figures in all_figures:

@@ -38,7 +38,7 @@ DEFAULT_RADIUS_M = 6_371_000.0
 
 @dataclass(frozen=True, eq=False)
 class PublishedRays:
-    """A profile and the published method that bends rays in it, in the place of a `RayTable`."""
+    """A profile and the published method that bends rays in it; `bend` takes it as a table."""
 
     profile: Profile
     method: Method
@@ -46,11 +46,12 @@ class PublishedRays:
     def bend(
         self, h_c: ArrayLike, h_g: ArrayLike, sin_z: ArrayLike, cos_z: ArrayLike, radius: ArrayLike
     ) -> tuple[Array, NDArray[np.uint8]]:
-        """Refraction angles by the method, each with a status; arguments as for `bend`.
+        """Refraction angles R_c [rad] by the method, each with a status; arguments as for `bend`.
 
-        ``bad_measurement`` where a height, the angle or the radius is none, whether the method
-        reads it or not; ``outside_profile`` where it does not cover the heights (a ground above the
-        camera among them), ``misses_ground`` where it has no ray in that direction.
+        R_c is NaN unless the status is ``ok``: ``bad_measurement`` where a height, the angle or the
+        radius is not a valid number, ``outside_profile`` where the method does not cover the
+        heights (such as a ground above the camera), ``misses_ground`` where it has no ray in that
+        direction.
         """
         h_c, h_g, sin_z, cos_z, radius = finite(h_c, h_g, sin_z, cos_z, radius)
         zeta_c = np.arctan2(sin_z, cos_z)
@@ -65,16 +66,18 @@ class PublishedRays:
             radius[good],
         )
         status = np.where(good, OK, BAD_MEASUREMENT).astype(np.uint8)
-        lost = np.isnan(r_c) & good
+        without_ray = np.isnan(r_c) & good
         # Straight down every ray reaches the ground, unless the heights are not covered.
-        at_nadir = self.method(self.profile, h_c[lost], h_g[lost], 0.0, radius[lost])
+        at_nadir = self.method(
+            self.profile, h_c[without_ray], h_g[without_ray], 0.0, radius[without_ray]
+        )
         is_covered = ~np.isnan(at_nadir)
-        status[lost] = np.where(is_covered, MISSES_GROUND, OUTSIDE_PROFILE)
+        status[without_ray] = np.where(is_covered, MISSES_GROUND, OUTSIDE_PROFILE)
         return r_c, status
 
 
 def rays_by(profile: Profile, method: str) -> RayTable | PublishedRays:
-    """What `bend` reads, for one of `METHODS`.
+    """The air of a profile as `bend` takes it, for one of `METHODS`.
 
     >>> from unbend.atmosphere import standard_atmosphere
     >>> air = rays_by(standard_atmosphere("us1976"), "plane")
@@ -108,12 +111,12 @@ def bend(
     radius : of the sphere [m].
     distance : slant range to the target [m], NaN where unknown. Where a ray meets h_g twice, on
         both sides of its lowest point P_90, it decides which crossing is meant; without it the
-        near one is taken and the status is ``beyond_grazing``.
+        near one is taken and the status is ``beyond_grazing``. Published methods do not use it.
 
     R_c is positive when the apparent ray is farther from the nadir than the straight one, and NaN
-    where the status says that there is none. Against 40-digit arithmetic 1e-9 arcsec, also near
-    grazing; 1e-8 in ducts, 1e-7 through P_90. Rays from one height that follow each other are
-    fastest: they share what the air between does.
+    where there is none, for the reason that the status gives. Against 40-digit arithmetic 1e-9
+    arcsec, also near grazing; 1e-8 in ducts, 1e-7 through P_90. Fastest where rays from one height
+    follow each other.
     """
     if isinstance(table, PublishedRays):
         return table.bend(h_c, h_g, sin_zeta_c, cos_zeta_c, radius)
@@ -130,31 +133,32 @@ def bend(
 
 
 def _bend_rows(table: RayTable, rays: RayColumns, r_c: Array, status: NDArray[np.uint8]) -> None:
-    """Fill angles and status of rays, by the fastest kernel that serves each.
+    """Fill ``r_c`` [rad] and ``status`` of rays by three kernels, the fastest first.
 
-    Kernels are imported, and compiled, where the first ray needs them.
+    A kernel gives rays that it cannot bend the status `LEFT`, for the next one. A kernel is
+    imported, and compiled, when the first ray needs it.
     """
-    left = np.arange(r_c.size)
-    if left.size > WORTH_A_TABLE:  # those that can share a table of moments first
+    remaining = np.arange(r_c.size)
+    if remaining.size > WORTH_A_TABLE:  # enough rays to share a table of moments
         from unbend.refraction.kernels.moments import bend_steep_rays
 
         bend_steep_rays(table.fine, rays, r_c, status)
-        left = np.flatnonzero(status == LEFT)
-    if left.size:
+        remaining = np.flatnonzero(status == LEFT)
+    if remaining.size:
         from unbend.refraction.kernels.ray import bend_rays
 
-        bend_rays(table.pieces, rays, left, r_c, status)
-        left = left[status[left] == LEFT]
-    if left.size:
+        bend_rays(table.pieces, rays, remaining, r_c, status)
+        remaining = remaining[status[remaining] == LEFT]
+    if remaining.size:
         from unbend.refraction.kernels.grazing import bend_grazing_rays
 
-        bend_grazing_rays(table.pieces, rays, left, r_c, status)
+        bend_grazing_rays(table.pieces, rays, remaining, r_c, status)
 
 
 def as_columns(*values: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
-    """The shape that values broadcast to, and each as a column that compiled functions take.
+    """The shape that ``values`` broadcast to, and each of them as a flat column of that size.
 
-    A broadcast view is not to be written to, which they ask about: it becomes a copy.
+    Compiled functions take writable columns only: read-only and broadcast arrays are copied.
     """
     arrays = [np.asarray(value, np.float64) for value in values]
     shape = np.broadcast_shapes(*(array.shape for array in arrays))
@@ -222,7 +226,10 @@ LARGEST_ANGLE_RAD = math.pi * (1.0 + 1e-6)  # pi, also as a float32
 
 
 def check_nadir_angles(zeta_c: ArrayLike) -> None:
-    """Refuse (PhysicsError RAY-BAD-MEASUREMENT) nadir angles [rad] outside 0 to pi; NaN passes."""
+    """Refuse (PhysicsError RAY-BAD-MEASUREMENT) nadir angles [rad] outside 0 to pi.
+
+    NaN and infinite angles pass: they give a status.
+    """
     angles = np.atleast_1d(np.asarray(zeta_c, np.float64))
     is_outside = np.isfinite(angles) & ((angles < 0.0) | (angles > LARGEST_ANGLE_RAD))
     count = int(is_outside.sum())
@@ -250,7 +257,11 @@ def angle_and_status(
     method: str = "spherical",
     distance: ArrayLike = math.nan,
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Angles as `refraction_angle` has them [rad], and which crossing each is for, as a status."""
+    """Refraction angles R_c [rad] and their statuses; arguments as for `refraction_angle`.
+
+    Scalars without an angle raise `PhysicsError`; in arrays R_c is NaN, and the status gives the
+    reason.
+    """
     zeta = np.asarray(zeta_c, dtype=np.float64)
     is_angle = (zeta >= 0.0) & (zeta <= math.pi)
     zeta = np.where(is_angle, zeta, np.nan)
@@ -263,7 +274,9 @@ def angle_and_status(
         radius=radius,
         distance=distance,
     )
-    status = int(statuses) if statuses.ndim == 0 else OK
+    if statuses.ndim > 0:
+        return r_c, statuses
+    status = int(statuses)
     if status in (OK, BEYOND_GRAZING, FAR_BRANCH):
         return r_c, statuses
     where = f"h_c = {h_c!r} m, h_g = {h_g!r} m, zeta_c = {np.degrees(zeta_c):.6f} deg, "

@@ -10,12 +10,13 @@ from unbend.atmosphere.profile import Profile
 from unbend.refraction.kernels.columns import HINT_M, FineTable, IndexTable
 from unbend.units import Array
 
-# Pieces of the profile on which n - 1 is a polynomial of degree 7 in height: at 500 m a
-# troposphere is reproduced to 1e-13 of n - 1.
+# Longest piece of the profile on which n - 1 is a polynomial of degree 7 in height: pieces of
+# 500 m reproduce a troposphere to 1e-13 of n - 1.
 _PIECE_M = 500.0
 _DEGREE = 7
 
-# Three nodes over this height integrate the moments of the air to 1e-12, sharp inversions included.
+# Longest interval of the fine table: three nodes in it integrate the moments of the air to 1e-12,
+# sharp inversions included.
 _FINE_M = 62.5
 _FINE_DEGREE = 5
 
@@ -33,7 +34,7 @@ class RayTable:
 
     @property
     def pieces(self) -> IndexTable:
-        """The table for compiled functions."""
+        """The same table as a tuple for compiled functions."""
         return IndexTable(self.edge_m, self.coefficient)
 
     @cached_property
@@ -44,10 +45,10 @@ class RayTable:
         nodes = _chebyshev_nodes(_FINE_DEGREE)
         height = _heights_of_nodes(edge, nodes)
         edges_below = np.searchsorted(self.edge_m, lower_end, side="right")
-        piece = edges_below - 1
+        piece = edges_below - 1  # the piece that contains each interval
         bottom = self.edge_m[piece, None]
         thickness = np.diff(self.edge_m)[piece, None]
-        share = (height - bottom) / thickness
+        share = (height - bottom) / thickness  # u of the nodes in their piece
         coefficients = self.coefficient[piece].T
         refractivity = np.polynomial.polynomial.polyval(
             share,
@@ -55,6 +56,7 @@ class RayTable:
             tensor=False,
         )
         values = np.asarray(refractivity, np.float64)
+        # For searches: the interval at each of many evenly spaced heights.
         marks = np.arange(edge[0], edge[-1], HINT_M)
         interval = np.searchsorted(edge, marks, side="right") - 1
         return FineTable(
@@ -66,7 +68,7 @@ class RayTable:
 
 @lru_cache(maxsize=64)
 def ray_table(profile: Profile) -> RayTable:
-    """Tabulate the refractivity of a profile for the ray kernel (agreement 1e-13 of n - 1)."""
+    """The refractivity of a profile as polynomials, which agree with it to 1e-13 of n - 1."""
     edge = cut(profile.break_heights_m, _PIECE_M)
     nodes = _chebyshev_nodes(_DEGREE)
     # Nodes stay inside their piece, so each is evaluated in its own layer.
@@ -75,9 +77,9 @@ def ray_table(profile: Profile) -> RayTable:
 
 
 def cut(edge: Array, longest: float | Array) -> Array:
-    """Edges with as few more evenly between them that no piece is longer than ``longest``.
+    """The edges, and between them as few evenly spaced ones as make no piece exceed ``longest``.
 
-    ``edge`` (k + 1,) rising; ``longest`` one length for all intervals or (k,).
+    ``edge`` (k + 1,) rising; ``longest`` is one length for all k intervals, or (k,).
 
     >>> cut(np.array([0.0, 1.0, 4.0]), 1.5).tolist()
     [0.0, 1.0, 2.5, 4.0]
@@ -93,7 +95,10 @@ def cut(edge: Array, longest: float | Array) -> Array:
 
 
 def _heights_of_nodes(edge: Array, nodes: Array) -> Array:
-    """(m, d + 1) heights of nodes (d + 1,) between 0 and 1 in each of m pieces between edges."""
+    """(m, d + 1) heights of the nodes in m pieces between edges (m + 1,).
+
+    ``nodes`` (d + 1,) are shares of a piece, 0 to 1.
+    """
     thickness = np.diff(edge)
     return edge[:-1, None] + thickness[:, None] * nodes
 
@@ -106,9 +111,9 @@ def _chebyshev_nodes(degree: int) -> Array:
 
 
 def _polynomials(nodes: Array, values: Array) -> Array:
-    """(m, d + 1) coefficients, lowest power first, of polynomials through values at d + 1 nodes.
+    """(m, d + 1) coefficients, lowest power first, of m polynomials through d + 1 points each.
 
-    ``values`` (m, d + 1) are those of m polynomials.
+    ``nodes`` (d + 1,) are the abscissas of all, ``values`` (m, d + 1) the ordinates.
     """
     count = nodes.size
     vandermonde = np.vander(nodes, count, increasing=True)

@@ -22,11 +22,12 @@ from unbend.refraction.ray_table import RayTable
 from unbend.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK
 from unbend.units import Array, Integers
 
-# Rounds for a published method: each gains three digits, and they go no nearer to grazing.
-_ROUNDS = 12
-_CLOSE_M = 1e-7
+# Each iteration with a published method gains three digits: these methods end before grazing,
+# where more would be needed.
+_MAX_ITERATIONS = 12
+_LAST_STEP_M = 1e-7  # a smaller change of the height ends the iteration
 
-# More than refraction moves a point into the format.
+# Ideal pixels may be this far outside the format: refraction displaces them by less.
 _MARGIN_PX = 500
 
 
@@ -41,16 +42,18 @@ def height_at_distance(
 ) -> tuple[Array, NDArray[np.uint8]]:
     """Heights of targets whose slant range is known, along the bent rays that show them.
 
-    distance : length [m] of the straight chord from camera to target, over 0; before or beyond the
-        lowest point P_90 of the ray. The rest as for `bend`; all broadcast.
+    distance : length [m] of the straight chord from camera to target, above 0. The target may be
+        before or beyond the lowest point P_90 of the ray.
+    table, h_c, sin_zeta_c, cos_zeta_c, radius : as for `bend`; all broadcast.
 
-    Returns the height h_g of the target above sea level [m], NaN where there is none, and the
-    status: ``outside_profile`` where the chord ends outside it, ``misses_ground`` where the ray
-    passes under all land on its way, ``bad_measurement`` for what is no distance or angle.
+    Returns the heights h_g of the targets above sea level [m], NaN where the status is not ``ok``,
+    and the status: ``outside_profile`` where the chord ends outside the profile, ``misses_ground``
+    where the ray passes under all land on its way, ``bad_measurement`` where a distance or an angle
+    is not valid.
 
     A millionth of a metre against 30-digit arithmetic, through P_90 too: unlike the distance of a
     given height, the height at a given distance is well determined there. For a published method
-    the nadir angle of the chord is found by repetition, to the method's own accuracy.
+    the nadir angle of the chord is found by iteration, to the method's accuracy.
     Source: Gyer 1996, Eq. 12, 15, 16, solved for h_g.
 
     >>> from unbend.atmosphere import standard_atmosphere
@@ -73,7 +76,7 @@ def height_at_distance(
         distance=columns[3],
     )
     if isinstance(table, PublishedRays):
-        height, status = _by_repetition(table, rays)
+        height, status = _heights_by_iteration(table, rays)
     else:
         from unbend.refraction.kernels.ray import ray_heights
 
@@ -101,10 +104,11 @@ def target_heights(
     """Heights of the targets of image observations whose slant range is known.
 
     x_px, y_px : (n,) pixels: measured, or those of the straight chord where ``ideal``.
-    The rest as for `correct_observations`.
+    distance_m : (n,) slant ranges [m].
+    exposure, exposures, camera, table : as for `correct_observations`.
 
-    Returns the heights above sea level [m], (n,), NaN where the observation lacks something that
-    `correct_observations` will name, or its chord ends outside the profile.
+    Returns the heights above sea level [m], (n,), NaN where the pixel has no ray, the distance is
+    not valid or the chord ends outside the profile.
     """
     rays = target_rays(x_px, y_px, exposure, exposures, camera=camera, ideal=ideal)
     h_c = rays[CAMERA_HEIGHT]
@@ -121,11 +125,12 @@ def target_heights(
 def target_rays(
     x: Array, y: Array, exposure: Integers, exposures: Exposures, *, camera: Camera, ideal: bool
 ) -> Array:
-    """The matrix of rays (RAY_ROWS, n) of pixels, NaN where a pixel has no ray.
+    """The rays of pixels as a matrix (RAY_ROWS, n), NaN where a pixel has no ray.
 
-    Arguments as for `target_heights`: where ``ideal`` the rays are the straight chords themselves.
+    `kernels.columns` lists the rows of the matrix. ``ideal``: the pixels are those of straight
+    chords, which are returned; they do not bend at the window and may be outside the format.
     """
-    if ideal:  # a straight line has no window and no lens, and may lie beside the format
+    if ideal:
         exposures = replace(
             exposures, refractivity_cabin=exposures.refractivity_outside, principal_change_px=None
         )
@@ -138,15 +143,16 @@ def target_rays(
         )
         x = x + _MARGIN_PX
         y = y + _MARGIN_PX
-    anywhere = np.zeros(x.size)
-    observed = observation_columns(x, y, anywhere, anywhere, exposure)
+    unused_height = np.zeros(x.size)
+    observed = observation_columns(x, y, unused_height, unused_height, exposure)
     return outgoing_rays(observed, camera.constants, exposures.columns).rays
 
 
 def chord_height(h_c: Array, cos_zeta: Array, distance: Array, radius: Array) -> Array:
     """Height [m] of the end of a straight chord at the nadir angle of cosine ``cos_zeta``.
 
-    Without cancellation: h_g - h_c = D (D - 2 r_c cos zeta) / (r_c + r_g).
+    ``distance`` D is the length of the chord [m], ``h_c`` the height of its begin. Without
+    cancellation, with r = radius + h: h_g - h_c = D (D - 2 r_c cos zeta) / (r_c + r_g).
 
     >>> one = np.ones(1)
     >>> chord_height(500.0 * one, one, 200.0 * one, 6.4e6 * one).tolist()
@@ -157,11 +163,13 @@ def chord_height(h_c: Array, cos_zeta: Array, distance: Array, radius: Array) ->
     return np.asarray(h_c + fall / (r_c + np.sqrt(r_c * r_c + fall)))
 
 
-def _by_repetition(table: PublishedRays, rays: RayColumns) -> tuple[Array, NDArray[np.uint8]]:
-    """Heights and status as `height_at_distance` has them, by a published method.
+def _heights_by_iteration(
+    table: PublishedRays, rays: RayColumns
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Heights and statuses of `height_at_distance` with a published method.
 
-    The height at the end of the straight line in the apparent direction gives R_c, R_c the nadir
-    angle of the chord, and that a better height.
+    The iteration begins with the height at the end of the straight line in the apparent direction.
+    That height gives R_c, R_c gives the nadir angle of the chord, and the chord a better height.
     """
     h_c = rays.h_c
     sin_z = rays.sin_c
@@ -169,20 +177,20 @@ def _by_repetition(table: PublishedRays, rays: RayColumns) -> tuple[Array, NDArr
     radius = rays.r_e
     distance = rays.distance
     is_distance = np.isfinite(distance) & (distance > 0.0)
-    is_open = is_distance
+    is_iterating = is_distance
     status = np.where(is_distance, MISSES_GROUND, BAD_MEASUREMENT)
     with np.errstate(invalid="ignore"):
         height = chord_height(h_c, cos_z, np.where(is_distance, distance, math.nan), radius)
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             r_c, status_of_ray = bend(table, h_c, height, sin_z, cos_z, radius=radius)
             cos_chord = cos_z * np.cos(r_c) + sin_z * np.sin(r_c)
             step = chord_height(h_c, cos_chord, distance, radius) - height
-            # A row ends by itself: its height and status do not depend on the rows beside it.
-            height = np.where(is_open, height + step, height)
-            ends = is_open & ~(np.abs(step) > _CLOSE_M)  # settled, or NaN
-            status = np.where(ends, status_of_ray, status)
-            status[ends & np.isnan(step) & (status_of_ray == OK)] = MISSES_GROUND
-            is_open = is_open & ~ends
-            if not is_open.any():
+            # Each row ends on its own: its result does not depend on the other rows.
+            height = np.where(is_iterating, height + step, height)
+            ends_now = is_iterating & ~(np.abs(step) > _LAST_STEP_M)  # a NaN ends too
+            status = np.where(ends_now, status_of_ray, status)
+            status[ends_now & np.isnan(step) & (status_of_ray == OK)] = MISSES_GROUND
+            is_iterating = is_iterating & ~ends_now
+            if not is_iterating.any():
                 break
     return np.where(status == OK, height, math.nan), status.astype(np.uint8)

@@ -18,29 +18,29 @@ OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
 
 SCHEDULE_TEMPERATURE_K = 294.26  # 70 F
 SCHEDULE_PRESSURE_PA = 701.2 * HECTOPASCAL  # of 3 km pressure altitude
-SCHEDULE_CEILING_M = 10_000.0  # Table 7 ends here
+SCHEDULE_CEILING_M = 10_000.0  # Gyer's Table 7 ends here
 
 SIGMA_BAROMETER_PA = 3.0 * HECTOPASCAL
-"""Of a barometer that nobody calibrated; and of a vented cabin against the air outside, which the
-alternate static sources of light aircraft show (some 25 m of height)."""
+"""Standard deviation of an uncalibrated barometer; and of the pressure in a vented cabin from that
+outside, as the alternate static sources of light aircraft show (some 25 m of height)."""
 
 SIGMA_THERMOMETER_K = 1.0
-"""Of a thermometer in the cabin that nobody calibrated, against the air before the window."""
+"""Standard deviation of an uncalibrated thermometer in the cabin from the air at the window."""
 
 UNKNOWN = float("nan")
 
 
 @dataclass(frozen=True)
 class Cabin:
-    """What is stated about the air in the compartment; NaN where nothing is.
+    """The statements of a mission about the air in the compartment; NaN where there is none.
 
     ``source`` of the pressure: logged with each exposure, constant (``pressure_pa``), ambient (as
-    outside), or Gyer's schedule. ``temperature_k`` and ``relative_humidity`` (0 to 1) may be logged
-    or have to be assumed where they are not stated; ``temperature_logged`` says that the log is
-    stated to have the former. The sigmas are standard deviations [Pa, K].
+    outside), or Gyer's schedule. ``temperature_k`` and ``relative_humidity`` (0 to 1) that are not
+    stated are taken from the log or assumed; ``temperature_logged`` is True where the mission
+    states that the log has the temperature. The sigmas are standard deviations.
 
-    An ``opening`` is no cabin: its air is that outside, ``warmer_k`` warmer and with ``excess_pa``
-    more pressure.
+    The source ``opening`` is for a compartment without glass: its air is that outside, ``warmer_k``
+    warmer and with ``excess_pa`` more pressure.
     """
 
     source: Literal["log", "constant", "ambient", "standard_schedule", "opening"]
@@ -58,12 +58,12 @@ class Cabin:
 class Window:
     """The window in front of a camera.
 
-    ``cabin`` is the air behind it, None where it is unknown, which only a spherical window allows;
-    ``normal`` a unit vector out of the compartment in the ``frame`` of the camera (x right, y down,
-    z forward) or of the aircraft's body (x forward, y right, z down), in which a stabilised camera
-    moves. A spherical ``shape``, about the projection centre, bends nothing: every ray meets it at
-    right angles. ``in_calibration``: whether the camera was calibrated with the glass in front of
-    it; it changes no number here.
+    ``cabin`` is the air behind it, None where it is unknown, which only a spherical window allows.
+    ``normal`` is a unit vector out of the compartment in the ``frame`` of the camera (x right, y
+    down, z forward) or of the aircraft's body (x forward, y right, z down; for a camera that turns
+    behind the window). A window of spherical ``shape``, about the projection centre, bends nothing:
+    every ray meets it at right angles. ``in_calibration``: whether the camera was calibrated with
+    the glass in front of it; it changes no number here.
 
     Raises PhysicsError (WINDOW-NORMAL, WINDOW-AIR).
 
@@ -79,12 +79,12 @@ class Window:
 
     @property
     def is_opening(self) -> bool:
-        """Whether there is no glass, and air outside that differs little."""
+        """Whether there is no glass, and the air behind the opening is nearly that outside."""
         return self.cabin is not None and self.cabin.source == "opening"
 
     @property
     def section(self) -> str:
-        """The section of a camera in the mission file that describes it."""
+        """Name of the section of the mission file that describes it: opening or window."""
         return "opening" if self.is_opening else "window"
 
     def __post_init__(self) -> None:
@@ -100,9 +100,9 @@ class Window:
 def scheduled_pressure(ambient_pa: ArrayLike) -> Array:
     """Pressure in a compartment under the usual pressurisation [Pa].
 
-    ``ambient_pa`` outside, any shape [Pa]. The compartment is as thin as the air outside up to 3 km
-    pressure altitude (701.2 hPa) and stays at that above; its temperature is
-    ``SCHEDULE_TEMPERATURE_K``. Valid to 10 km. Source: Gyer 1996, Table 7, after Ebeling 1968.
+    ``ambient_pa``: pressure outside [Pa], any shape. The pressure inside is that outside up to 3 km
+    pressure altitude (701.2 hPa) and stays at 701.2 hPa above; the temperature inside is
+    `SCHEDULE_TEMPERATURE_K`. Valid to 10 km. Source: Gyer 1996, Table 7, after Ebeling 1968.
 
     >>> scheduled_pressure([89876.0, 26500.0]).round(1).tolist()
     [89876.0, 70120.0]
@@ -118,17 +118,15 @@ def refract_at_window(
 ) -> tuple[Array, Array]:
     """Change of direction of rays that cross a plane window, by Snell's law.
 
-    Rays traced from the camera go out from the cabin's air (before) into that outside (after), or
-    back in from outside; either way the normal points to where they go.
+    direction : (n, 3) unit vectors of the rays before the window, in the frame of ``normal``.
+    refractivity_before, refractivity_after : n - 1 of the air that the rays come from and of the
+        air that they go into, () or (n,). Rays may go out of the compartment or into it.
+    normal : (3,) or (n, 3) unit vectors of the window; to the side that the rays go to.
 
-    direction : (n, 3) unit vectors before the window, in the frame of ``normal``.
-    refractivity_before, refractivity_after : n - 1 of the air on either side, () or (n,).
-    normal : (3,) or (n, 3) unit vectors of the window.
-
-    Returns the change (n, 3) to be added to ``direction``, and the angle (n,) between the two
-    [rad], positive where the air before is the denser: R_cc of a ray out of the compartment, whose
-    image point the cabin has moved inward. Both are NaN for a ray that the window reflects wholly,
-    and for one along the window or against the normal (normal . direction <= 0).
+    Returns the change (n, 3) to be added to ``direction``, and the angle (n,) [rad] between the
+    directions before and after. The angle is positive where the air before is denser: then the ray
+    turns away from the normal. For rays out of the compartment it is R_cc. Both are NaN for a ray
+    that the window reflects totally or that does not go through it (normal . direction <= 0).
 
     Exact, without differencing. Source: Gyer 1996, Eq. 36 in vector form.
 

@@ -14,7 +14,7 @@ from unbend.flight.heights import HeightSystem, ground_offsets
 from unbend.flight.rotations import matrices_of
 from unbend.flight.stations import Stations
 from unbend.messages import Ledger
-from unbend.refraction.camera.camera import LensInAir, is_absurd
+from unbend.refraction.camera.camera import LensInAir, is_impossible_change
 from unbend.refraction.image import Exposures
 from unbend.refraction.lens_air import AnyLens, lens_change
 from unbend.refraction.ray import rays_by
@@ -201,7 +201,7 @@ def report_lens_change(
     where = f"cameras.{name}.principal_distance"
     absurd = np.zeros(ok.shape, dtype=bool)
     if isinstance(lens, LensInAir):
-        absurd = is_absurd(lens, change_px) & ok
+        absurd = is_impossible_change(lens, change_px) & ok
     if bool(absurd.any()):
         worst = int(np.argmax(np.where(absurd, np.abs(change_px), 0.0)))
         raise messages.lens_change_absurd(

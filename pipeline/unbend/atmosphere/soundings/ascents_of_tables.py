@@ -1,4 +1,4 @@
-"""Which rows of a table of levels are of one ascent."""
+"""The ascents of a table of levels: which rows are of one ascent."""
 
 from collections.abc import Iterable, Sequence
 
@@ -11,11 +11,12 @@ from unbend.units import NANOSECONDS_PER_SECOND, Array
 
 LONGEST_ASCENT_H = 4.0  # a balloon rises for two hours, and falls for one
 MOST_OVERLAP = 1.5
-"""Of the pressures of groups of rows: the sum of their ranges over the range of all. The levels of
-one ascent, each with its own time or place, share none: 1 at most. Two ascents share all: 2."""
+"""Sum of the pressure ranges of groups of rows over the range of all rows, above which each group
+is an ascent. Groups of levels of one ascent have separate ranges: 1 at most. Two ascents have the
+same range: 2."""
 LONGEST_STEP_BACK = 0.5
-"""Of the range of all pressures, from one level to the next against the way of the others: an
-ascent that begins again. A balloon that bursts falls step by step."""
+"""Share of the range of all pressures. A longer step from one level to the next, against the
+direction of the others, begins another ascent. A balloon that bursts falls in short steps."""
 
 NANOSECONDS_PER_HOUR = 3600 * NANOSECONDS_PER_SECOND
 FEWEST_TO_JUDGE = 6  # levels: two ascents of three
@@ -24,25 +25,26 @@ FEWEST_TO_JUDGE = 6  # levels: two ascents of three
 def columns_of_ascents(
     columns: Columns, identity: Iterable[str], pressure: Sequence[str]
 ) -> list[dict[str, list[str]]]:
-    """The columns of each ascent of a table.
+    """The columns of each ascent of a table, which are those of the table if it has only one.
 
-    Rows are of several ascents if a column of ``identity``, such as the station or the time, has
-    several values, each with the same ``pressure`` levels. A table of one ascent stays as it is.
+    Rows are of several ascents if a column of ``identity`` (names of columns, such as the station
+    or the time) has several values with overlapping ranges of pressure. Then the rows of each value
+    are an ascent. ``pressure`` are the fields of the column of pressures.
     """
     values = numbers(pressure)
     for name in identity:
         fields = columns.get(name, [])
         groups = rows_by_value(fields)
-        ranges = 0.0
+        sum_of_ranges = 0.0
         for rows in groups:
-            ranges += range_of(values[rows])
-        if ranges > MOST_OVERLAP * range_of(values):
+            sum_of_ranges += range_of(values[rows])
+        if sum_of_ranges > MOST_OVERLAP * range_of(values):
             return [columns_of_rows(columns, rows) for rows in groups]
     return [dict(columns)]
 
 
 def rows_by_value(fields: Sequence[str]) -> list[list[int]]:
-    """The rows of each value of a column.
+    """The numbers of the rows of each value of a column, in the order of first occurrence.
 
     >>> rows_by_value(["a", "b", "a "])
     [[0, 2], [1]]
@@ -56,7 +58,7 @@ def rows_by_value(fields: Sequence[str]) -> list[list[int]]:
 
 
 def columns_of_rows(columns: Columns, rows: list[int]) -> dict[str, list[str]]:
-    """Some rows of all columns."""
+    """All columns with the given rows only."""
     chosen = {}
     for name, fields in columns.items():
         chosen[name] = [fields[row] for row in rows]
@@ -64,7 +66,7 @@ def columns_of_rows(columns: Columns, rows: list[int]) -> dict[str, list[str]]:
 
 
 def range_of(values: Array) -> float:
-    """The largest minus the smallest of the known values, 0 of none."""
+    """The largest minus the smallest of the finite values; 0 if none is finite."""
     known_values = values[np.isfinite(values)]
     if known_values.size == 0:
         return 0.0
@@ -72,9 +74,10 @@ def range_of(values: Array) -> float:
 
 
 def refuse_several(times: Sequence[str], pressure: Array, where: str) -> None:
-    """Refuse (`InputError` SOUNDING-CHOICE) rows of one table that are of no single ascent.
+    """Refuse (`InputError` SOUNDING-CHOICE) rows that cannot be of one ascent.
 
-    No ascent takes so long, or begins again at the ground.
+    Their ``times`` (texts) are more than 4 hours apart, or their ``pressure`` begins again at the
+    ground. Also refuses times that cannot be read (SOUNDING-TIME).
     """
     stated_ns = [stated_time_ns(time, where) for time in times]
     known_ns = [time_ns for time_ns in stated_ns if time_ns is not None]
@@ -89,7 +92,9 @@ def refuse_several(times: Sequence[str], pressure: Array, where: str) -> None:
 
 
 def begins_again(pressure: Array) -> bool:
-    """Whether pressures go back by more than half of their range, from one level to the next.
+    """Whether pressures jump back by more than half of their range from one level to the next.
+
+    False for fewer than six levels. Back is against the direction of most steps.
 
     >>> ascent = np.array([950.0, 850.0, 700.0, 500.0, 400.0])
     >>> begins_again(np.append(ascent, ascent))
@@ -99,17 +104,17 @@ def begins_again(pressure: Array) -> bool:
     """
     if pressure.size < FEWEST_TO_JUDGE:
         return False
-    # The middle of three neighbours: one wild level is no ascent.
+    # The median of three neighbours: a single wrong level does not count.
     smooth = np.median(sliding_window_view(pressure, 3), axis=1)
     steps = np.diff(smooth)
-    way = np.sign(np.median(steps))
-    steps_back = -way * steps
+    direction = np.sign(np.median(steps))
+    steps_back = -direction * steps
     longest = float(np.max(steps_back))
     return longest > LONGEST_STEP_BACK * range_of(smooth)
 
 
 def is_same_ascent(first: RawLevels, second: RawLevels) -> bool:
-    """Whether two readings of a file have the same levels: a page that was pasted twice."""
+    """Whether two ascents have the same levels, as of a page that was pasted twice."""
     same_pressure = np.array_equal(first.pressure_pa, second.pressure_pa, equal_nan=True)
     same_temperature = np.array_equal(first.temperature_k, second.temperature_k, equal_nan=True)
     return same_pressure and same_temperature

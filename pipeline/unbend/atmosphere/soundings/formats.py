@@ -45,19 +45,23 @@ from unbend.messages import Ledger, Notes
 from unbend.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 _HEADER = re.compile(r"#[A-Z0-9]{11} \d{4} \d\d \d\d \d\d ")
-_NO_HOUR = 99
+_LONGEST_SOUNDING_HEADER = 75  # characters, with room; headers of derived parameters are longer
+_NO_HOUR = 99  # the nominal hour is unknown
 LAST_HOUR = 23
 _DAY_S = 86_400
 
 
 def is_igra(text: str) -> bool:
-    """Whether a text begins as a file of the archive."""
+    """Whether a text begins with a header of IGRA, of soundings or of derived parameters."""
     return _HEADER.match(text) is not None
 
 
 def is_igra_derived(text: str) -> bool:
-    """Whether it holds derived parameters: their header is longer."""
-    return is_igra(text) and len(text.split("\n", 1)[0].rstrip()) > 75
+    """Whether a text is of IGRA's derived parameters, by the length of its first header."""
+    if not is_igra(text):
+        return False
+    header = text.split("\n", 1)[0].rstrip()
+    return len(header) > _LONGEST_SOUNDING_HEADER
 
 
 def parse_igra(text: str, where: str) -> list[RawLevels]:
@@ -87,7 +91,7 @@ def parse_igra(text: str, where: str) -> list[RawLevels]:
 
 
 def parse_igra_derived(text: str, where: str) -> list[RawLevels]:
-    """The ascents of an IGRA v2 file of derived parameters; it knows no position."""
+    """The ascents of an IGRA v2 file of derived parameters, which has no positions."""
     ascents = []
     for block in _igra_blocks(text, where):
         lines = block.lines
@@ -109,11 +113,11 @@ def parse_igra_derived(text: str, where: str) -> list[RawLevels]:
 
 
 class _IgraBlock(NamedTuple):
-    """An ascent in a file of IGRA: header, lines of its levels, and where the header stands."""
+    """The lines of an ascent in a file of IGRA."""
 
     header: str
-    lines: list[str]
-    where: str
+    lines: list[str]  # one for each level
+    where: str  # file and line of the header, for messages
 
     @property
     def station(self) -> str:
@@ -122,7 +126,7 @@ class _IgraBlock(NamedTuple):
 
 
 def _igra_blocks(text: str, where: str) -> Iterator[_IgraBlock]:
-    """The ascents of a file one by one."""
+    """The ascents of a file of IGRA one by one; refuses (InputError) lines # that are no header."""
     lines = text.splitlines()
     heads = [i for i, line in enumerate(lines) if line.startswith("#")]
     if not heads:
@@ -137,12 +141,16 @@ def _igra_blocks(text: str, where: str) -> Iterator[_IgraBlock]:
 
 
 def _igra_column(lines: list[str], first: int, last: int, scale: float) -> Array:
-    """A column by the places of the format description, which count from one."""
+    """A column of numbers, multiplied by ``scale``; NaN for missing values.
+
+    ``first``, ``last``: places of its characters in a line, from 1 on as in the description of the
+    format.
+    """
     return numbers(line[first - 1 : last] for line in lines) * scale
 
 
 def _igra_lines_missing(block: _IgraBlock) -> Notes:
-    """What is reported where the header promises more levels."""
+    """A message if the header states more levels than the block has; else empty."""
     missing = number(block.header[32:36]) - len(block.lines)
     if not missing > 0.0:
         return ()
@@ -150,16 +158,17 @@ def _igra_lines_missing(block: _IgraBlock) -> Notes:
 
 
 def _igra_place(header: str) -> PlaceOfSounding:
-    """The place of an ascent; unknown of ships, whose fields are filled."""
+    """The place of an ascent; NaN for ships, where the header has fill values."""
     latitude_deg = number(header[55:62]) * 1e-4
     longitude_deg = number(header[63:71]) * 1e-4
     return place_of_numbers(latitude_deg, longitude_deg)
 
 
 def _igra_time_ns(block: _IgraBlock) -> int | None:
-    """The release of the balloon, the nominal hour without one.
+    """The time of the release of the balloon [Unix ns], without one the nominal hour; else None.
 
-    The release has no date: 2303 of the sounding of 00 UTC is the evening before.
+    The date is that of the nominal hour. The release is within 12 hours of it: 2303 of a sounding
+    of 00 UTC is on the evening before.
     """
     header = block.header
     date = header[13:23].replace(" ", "-")
@@ -182,7 +191,7 @@ def _igra_time_ns(block: _IgraBlock) -> int | None:
 
 
 def _seconds_of_release(hhmm: float) -> int | None:
-    """Seconds of the day of a time written as 2303; None where it is none (NaN, 9999)."""
+    """Seconds of the day of a time in the form 2303; None if it is not a time, as NaN and 9999."""
     hour = hhmm // 100
     minute = hhmm % 100
     if not (0 <= hour <= LAST_HOUR and minute < 60):
@@ -190,7 +199,7 @@ def _seconds_of_release(hhmm: float) -> int | None:
     return 3600 * int(hour) + 60 * int(minute)
 
 
-# Name of a column -> quantity, unit.
+# Quantity and unit by the name of a column.
 PLAIN_COLUMNS = {
     "h_m": ("height", "m"),
     "geopotential_m": ("geopotential", "m"),
@@ -205,7 +214,7 @@ PLAIN_COLUMNS = {
     "relative_humidity": ("relative humidity", "1"),
     "relative_humidity_percent": ("relative humidity", "percent"),
 }
-# Name of a column that says which ascent a row is of, and the names it may have instead.
+# Other names by the name of a column. These columns show which rows are of one ascent.
 PLACE_COLUMNS = {
     "ascent": (),
     "station": (),
@@ -216,7 +225,7 @@ PLACE_COLUMNS = {
 
 
 def is_plain(text: str) -> bool:
-    """Whether the first line that is no comment names a pressure and a temperature with units."""
+    """Whether the first line that is not a comment has names of a pressure and a temperature."""
     lines = (line for line in text.lstrip("\ufeff").splitlines() if not line.startswith("#"))
     has_pressure = False
     has_temperature = False
@@ -228,7 +237,10 @@ def is_plain(text: str) -> bool:
 
 
 def parse_plain(text: str, where: str) -> list[RawLevels]:
-    """The ascents of a plain CSV; other columns are not read, which is noted."""
+    """The ascents of a plain CSV, with a message about columns that are not read.
+
+    Columns are those of `PLAIN_COLUMNS` and `PLACE_COLUMNS`, in upper or lower case.
+    """
     columns = {}
     for name, fields in table(text.splitlines(), where).items():
         columns[name.lower()] = fields
@@ -248,7 +260,10 @@ def parse_plain(text: str, where: str) -> list[RawLevels]:
 
 
 def _columns_of_quantities(columns: Columns, where: str) -> dict[str, str]:
-    """The column of each quantity; refuses two of one, and a table without the needed ones."""
+    """The name of the column of each quantity that a plain CSV has.
+
+    Refuses (InputError) two columns of a quantity, and a table without pressure or temperature.
+    """
     column_of: dict[str, str] = {}
     for name, (quantity, _) in PLAIN_COLUMNS.items():
         if name not in columns:
@@ -273,27 +288,31 @@ def _columns_of_quantities(columns: Columns, where: str) -> dict[str, str]:
     return column_of
 
 
-_OF_TIME = re.compile(r"time|date|utc|valid")
-_OF_DATE = re.compile(r"date")
+_NAME_OF_TIME = re.compile(r"time|date|utc|valid")
+_NAME_OF_DATE = re.compile(r"date")
 
 
 def _refuse_other_times(columns: Columns, where: str) -> None:
-    """Refuse (InputError SOUNDING-TIME) a time in another column where ``time_utc`` has none.
+    """Refuse (InputError SOUNDING-TIME) a time in another column if ``time_utc`` has none.
 
-    A column of plain numbers passes, as seconds since launch, unless its name contains ``date``.
+    The name of such a column contains time, date, utc or valid. A column of plain numbers, such as
+    seconds since launch, passes unless its name contains date.
     """
     if first_stated(columns.get("time_utc", [])):
         return
     for name, fields in columns.items():
         first_time = first_stated(fields)
-        is_date = _OF_DATE.search(name) is not None
+        is_date = _NAME_OF_DATE.search(name) is not None
         is_text = math.isnan(number(first_time))
-        if _OF_TIME.search(name) and first_time and (is_text or is_date):
+        if _NAME_OF_TIME.search(name) and first_time and (is_text or is_date):
             raise messages.sounding_time_column(where=where, column=name, time=first_time)
 
 
 def _ascent_of_plain(columns: Columns, column_of: Mapping[str, str], where: str) -> RawLevels:
-    """The only ascent of some rows of a plain CSV."""
+    """The ascent in columns of a plain CSV; refuses (InputError) rows of several ascents.
+
+    ``column_of``: names of columns by quantity, from `_columns_of_quantities`.
+    """
     values = {}
     for quantity, name in column_of.items():
         _, unit = PLAIN_COLUMNS[name]
@@ -328,12 +347,12 @@ FORMATS: dict[str, tuple[Callable[[str], bool], Callable[[str, str], list[RawLev
     "wyoming_list": (is_wyoming_list, parse_wyoming_list),
     "csv": (is_plain, parse_plain),
 }
-"""How a text in a format is recognised and read. In this order a text is tried; the first that
-recognises it reads it."""
+"""By the name of a format: the function that recognises a text, and the function that reads it. The
+first format that recognises a text is used."""
 
 
 def format_of(text: str) -> str:
-    """The first format that recognises a text; "" where none does.
+    """The name of the first format that recognises a text; "" if none does.
 
     >>> format_of("h_m,pressure_hpa,temperature_c"), format_of("image,x,y")
     ('csv', '')
@@ -345,7 +364,10 @@ def format_of(text: str) -> str:
 
 
 def ascents_of_text(text: str, where: str) -> list[RawLevels]:
-    """All ascents of a text, unchecked; empty where no format recognises it."""
+    """All ascents of a text, unchecked; empty if no format recognises it.
+
+    ``where``: the file, for messages.
+    """
     name = format_of(text)
     if not name:
         return []
@@ -363,13 +385,13 @@ def parse_sounding(
     latitude_rad: float = math.nan,
     station_h_m: float = math.nan,
 ) -> Sounding:
-    """The sounding of a text, in whichever format; of several the one nearest in time.
+    """The checked sounding of a text in one of `FORMATS`; of several the nearest in time.
 
     ``text``: IGRA v2 (soundings or derived), University of Wyoming list or CSV, or a plain CSV with
     columns such as h_m, pressure_hpa, temperature_c, dew_point_c. ``where``: the file's name, for
-    refusals and the ledger. ``format_name``: one of `FORMATS`, or ``auto``. ``time_ns``: of the
-    flight [Unix ns]; needed to choose where the text holds several soundings. ``latitude_rad``
-    [rad], ``station_h_m`` [m above sea level] where the text has none.
+    messages. ``format_name``: one of `FORMATS`, or ``auto``. ``time_ns``: time of the flight
+    [Unix ns], needed if the text contains several soundings. ``latitude_rad``, ``station_h_m``
+    [m above sea level] are used where the text has none, see `check_levels`.
 
     Raises ``InputError``: no such format, wrong units, contradictory heights, fewer than five
     levels. Repairs are counted in the ledger.
@@ -399,7 +421,11 @@ def nearest_in_time(
     time_ns: int | None,
     where: str,
 ) -> RawLevels:
-    """Of several ascents the one released nearest to a time; without a time, the only one."""
+    """The ascent nearest to a time [Unix ns], with messages; without a time the only ascent.
+
+    Ascents without levels do not count. Refuses (InputError) a choice that cannot be made, and a
+    file without levels.
+    """
     full = [raw for raw in ascents if raw.pressure_pa.size]
     if not full:
         raise messages.sounding_empty(where=where)
@@ -423,7 +449,10 @@ def _nearest_of_dated(
     time_ns: int,
     where: str,
 ) -> tuple[RawLevels, int]:
-    """The ascent nearest to a time, and how far it is from it [ns]; refuses two of one hour."""
+    """The ascent nearest to a time [Unix ns], and the absolute difference of their times [ns].
+
+    Refuses (InputError) ascents without any time, and different ascents of the nearest time.
+    """
     dated = [(abs(raw.time_ns - time_ns), raw) for raw in ascents if raw.time_ns is not None]
     if not dated:
         raise messages.sounding_choice_undated(where=where, total=len(ascents))

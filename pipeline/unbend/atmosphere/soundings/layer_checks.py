@@ -1,6 +1,7 @@
-"""Layers of a sounding that no sonde measures: too unstable, or denser upwards than any mirage.
+"""Warnings about layers of a sounding that no sonde measures, as from a typing error.
 
-Near the ground both are usual by day. The limits lie beyond what 479 public ascents have (Vienna
+Either the air cools too fast with height, or its refractive index grows too much with height. Near
+the ground both are usual by day. The limits lie beyond what 479 public ascents have (Vienna
 2015, North America, Darwin, dropsondes, convective afternoons): bases within 300 m of the lowest
 level reach 10.6 K and 3.4 %, bases above it 1.5 K and 0.5 % but for one ascent, of 3.1 K.
 """
@@ -17,30 +18,35 @@ from unbend.messages import Notes
 from unbend.units import Array, Mask
 
 NEAR_GROUND_M = 300.0  # above the lowest level: the layer that the ground heats or cools
-MOST_UNSTABLE_NEAR_GROUND_K = 12.0
+MOST_UNSTABLE_NEAR_GROUND_K = 12.0  # cooler at the top than dry air that has risen from the base
 MOST_UNSTABLE_ALOFT_K = 2.0
-MOST_RISE_NEAR_GROUND = 0.04  # of n - 1, as a share of it
+MOST_RISE_NEAR_GROUND = 0.04  # of n - 1 from base to top, as a change of its logarithm
 MOST_RISE_ALOFT = 0.006
 
 
 @dataclass(frozen=True)
 class Layer:
-    """The heights of its ends [m above sea level], and how far a quantity falls in it."""
+    """A layer of air, and how much a quantity decreases in it with height."""
 
-    low_m: float
-    high_m: float
-    fall: float
+    low_m: float  # height of its base above sea level
+    high_m: float  # height of its top above sea level
+    fall: float  # value at the base minus value at the top
 
 
 def layer_notes(sounding: Sounding, where: str) -> Notes:
-    """What is reported of the layers of a sounding; they are kept."""
+    """Warnings about the most unstable layer and of that where the refractive index grows most.
+
+    ``where``: the file of the sounding, for the messages. All levels are kept.
+    """
     h = sounding.h_m
     near_ground = h - h[0] < NEAR_GROUND_M
-    # Rises with height in stable air, and stays in dry air that is mixed.
+    # Rises with height in stable air, stays in mixed dry air, falls in unstable air.
     dry_static_k = sounding.temperature_k + ADIABATIC_K_PER_M * h
     vapour_pa = np.nan_to_num(sounding.vapour_pressure_pa)
-    n = refractive_index.refractivity_gyer(sounding.temperature_k, sounding.pressure_pa, vapour_pa)
-    log_rarity = -np.log(n)
+    refractivity = refractive_index.refractivity_gyer(
+        sounding.temperature_k, sounding.pressure_pa, vapour_pa
+    )
+    log_rarity = -np.log(refractivity)  # falls where the refractive index grows with height
     notes = []
     for bases, most_k, most_rise in (
         (near_ground, MOST_UNSTABLE_NEAR_GROUND_K, MOST_RISE_NEAR_GROUND),
@@ -65,7 +71,10 @@ def layer_notes(sounding: Sounding, where: str) -> Notes:
 
 
 def largest_fall(h: Array, quantity: Array, bases: Mask) -> Layer:
-    """The layer from one of the ``bases`` (n,) in which a quantity (n,) falls most; 0 of none.
+    """The layer in which a ``quantity`` (n,) at the heights ``h`` (n,) falls most.
+
+    Its base is among the levels of the mask ``bases`` (n,), its top any level above. Where the
+    quantity falls nowhere, a layer without thickness and with the fall 0.
 
     >>> h = np.array([0.0, 100.0, 200.0, 300.0])
     >>> largest_fall(h, np.array([5.0, 7.0, 4.0, 9.0]), h < 150.0)

@@ -41,10 +41,10 @@ TOO_WET = 1.5  # a relative humidity that no air has
 MOST_TOO_WET = 0.2  # share of levels that may have it by mistake
 
 DEW_POINT_ABOVE_K = 1.0  # above the temperature: more than rounding, and sensors in cloud, make
-MOST_LEVELS = 0.5  # share of levels with such a dew point that is no matter of single levels
-NEARLY_ALL_LEVELS = 0.95  # share of levels that a right reading of a file must explain
+MOST_LEVELS = 0.5  # share of levels with such dew points above which the column is wrong
+NEARLY_ALL_LEVELS = 0.95  # share of levels that an explanation of the wrong column must fit
 
-DRIEST_RH = 0.011  # relative humidities that reach no more are dead, or per cent of per cent
+DRIEST_RH = 0.011  # a sensor that reads no more is dead, or its percent were divided by 100 twice
 
 THICKNESS_RATIO = 0.03
 """Heights and the pressures and temperatures they were computed from agree within this share."""
@@ -64,29 +64,30 @@ class _Range(NamedTuple):
 
 
 _DEW_POINT_K = _Range(150.0, 333.0)  # of any air, from the stratosphere to the Persian Gulf
-_GROUND_PA = _Range(2_500.0, HIGHEST_PA)  # no sounding begins above 25 km, or below the Dead Sea
-# The warmest level of a sounding: air below -75 C or above 60 C is nowhere near the ground.
+_GROUND_PA = _Range(2_500.0, HIGHEST_PA)  # of the lowest level: from the Dead Sea up to 25 km
+# Of the warmest level of a sounding: near the ground no air is below -75 C or above 60 C.
 _WARMEST_LEVEL_K = _Range(198.0, 333.0)
 _MAX_VAPOUR_PA = 10_000.0  # 46 C of dew point
 
 _ROUNDED_DEW_POINT = 1.005
-"""A rounded dew point, 0.05 K of it, may pass saturation by 0.4 %: not reported."""
+"""Ratio of vapour pressure to saturation that is not reported yet: rounding a dew point by 0.05 K
+changes it by 0.4 %."""
 
-_FILLS_C = np.array([-99.0, -99.9, -99.99])  # of files of temperatures, none of which is so cold
+_FILLS_C = np.array([-99.0, -99.9, -99.99])  # mark missing temperatures; no level is so cold
 
-WILD = 0.05  # share of a column that may be invalid without the rest being refused
+OUTLIER_SHARE = 0.05  # of the values of a column, which are ignored in a check of its unit
 
 
 def check_levels(
     raw: RawLevels, *, latitude_rad: float = math.nan, station_h_m: float = math.nan
 ) -> tuple[Sounding, Notes]:
-    """Levels from the ground up, one at a height, from those of a file in its order.
+    """The sounding with the valid levels of a file, from the ground up, and messages about repairs.
 
-    ``latitude_rad``: of the mission [rad], used where the file has none. ``station_h_m``: height of
-    the lowest level [m above sea level], where the file has no heights. Raises ``InputError`` where
-    units are wrong, heights are missing or contradict pressure and temperature, or fewer than five
-    levels are left. Geopotential metres become metres with Lambert's gravity at the latitude;
-    ignoring it would cost up to 30 m at 10 km.
+    ``latitude_rad``: of the mission, used where the file has none. ``station_h_m``: height of the
+    lowest level [m above sea level], used where the file has no heights. Raises ``InputError``
+    where units are wrong, heights are missing or contradict pressure and temperature, or fewer than
+    five levels remain. Geopotential heights become heights in metres with normal gravity at the
+    latitude; without it they would be wrong by up to 30 m at 10 km.
     """
     refuse_wrong_units(raw)
     latitude = raw.latitude_rad if math.isfinite(raw.latitude_rad) else latitude_rad
@@ -115,7 +116,10 @@ def check_levels(
 
 
 def refuse_wrong_units(raw: RawLevels) -> None:
-    """Refuse pressures, temperatures or humidities whose largest values no ground has."""
+    """Refuse (InputError) a column if its largest values do not occur near the ground.
+
+    Then its unit is not what the file states. Columns are pressure, temperature and humidities.
+    """
     pressure_pa = _largest(raw.pressure_pa)
     if pressure_pa is not None and not _GROUND_PA.has(pressure_pa):
         raise messages.sounding_pressure_unit(
@@ -137,8 +141,8 @@ def refuse_wrong_units(raw: RawLevels) -> None:
             highest_k=dew_point_k,
         )
     humidity = _largest(raw.relative_humidity)
-    # Sensors read up to 1.1 in cloud. All of a sounding below 1 % does not happen: the lowest
-    # kilometre holds more, even over deserts.
+    # Sensors read up to 1.1 in cloud. No sounding is below 1 % at all levels: the lowest kilometre
+    # has more, even over deserts.
     if humidity is not None and (humidity > TOO_WET or humidity <= DRIEST_RH):
         raise messages.sounding_humidity_unit(
             **_where_stated(raw, "relative humidity"),
@@ -153,12 +157,12 @@ def refuse_wrong_units(raw: RawLevels) -> None:
 
 
 def _where_stated(raw: RawLevels, quantity: str) -> dict[str, str]:
-    """The file and the column, if any, that a quantity comes from."""
+    """Arguments of messages: the file and the name of the column of a quantity, "" if unknown."""
     return {"where": raw.where, "column": raw.column_of.get(quantity, "")}
 
 
 def _likely_pressure(pressure_pa: float) -> str:
-    """What a highest pressure that no ground has may be."""
+    """Explanation of a highest pressure that does not occur near the ground, for a message."""
     if _GROUND_PA.has(pressure_pa * HECTOPASCAL):
         return "they look like hPa where Pa is stated"
     if _GROUND_PA.has(pressure_pa / HECTOPASCAL):
@@ -167,7 +171,7 @@ def _likely_pressure(pressure_pa: float) -> str:
 
 
 def _likely_temperature(warmest_k: float) -> str:
-    """What a warmest level that no air has may be."""
+    """Explanation of an impossible temperature of the warmest level, for a message."""
     if warmest_k < 80.0:
         return "they look like Celsius where Kelvin is stated"
     if warmest_k > _WARMEST_LEVEL_K.lowest + ZERO_CELSIUS_K:
@@ -178,34 +182,36 @@ def _likely_temperature(warmest_k: float) -> str:
 
 
 def refuse_wrong_heights(raw: RawLevels, h: Array, rise: Array) -> None:
-    """Refuse heights ``h`` (n,) [m'] that are not those by the hypsometric equation, ``rise``.
+    """Refuse (InputError) heights that contradict pressures and temperatures.
 
-    A balloon's heights are computed by it and agree to 0.05 %; feet, Fahrenheit or another
-    balloon's heights do not. A single wrong level does not move the median.
+    ``h`` (n,) are the heights of the file, ``rise`` (n,) those above the first level by the
+    hypsometric equation [m']. The heights of a balloon are computed by this equation and agree to
+    0.05 %; feet, Fahrenheit or another balloon's heights do not. The thicknesses of layers are
+    compared by their median ratio, which a single wrong level does not change.
     """
-    apart = max(1, h.size // 4)
-    hypsometric = rise[apart:] - rise[:-apart]
-    stated_rise = h[apart:] - h[:-apart]
-    is_thick = hypsometric > 10.0
+    apart = max(1, h.size // 4)  # levels from the base to the top of a layer
+    hypsometric_m = rise[apart:] - rise[:-apart]
+    stated_m = h[apart:] - h[:-apart]
+    is_thick = hypsometric_m > 10.0
     if not bool(is_thick.any()):
         return
-    ratio = float(np.median(stated_rise[is_thick] / hypsometric[is_thick]))
+    ratio = float(np.median(stated_m[is_thick] / hypsometric_m[is_thick]))
     if abs(ratio - 1.0) > THICKNESS_RATIO:
         raise messages.sounding_inconsistent(where=raw.where, ratio=ratio)
 
 
 def _largest(column: Array | None) -> float | None:
-    """The largest value but for one in twenty: an outlier is no matter of units."""
+    """The largest value after the highest twentieth is ignored as outliers; None without values."""
     if column is None:
         return None
     values = column[np.isfinite(column)]
     if not values.size:
         return None
-    return float(np.quantile(values, 1.0 - WILD, method="lower"))
+    return float(np.quantile(values, 1.0 - OUTLIER_SHARE, method="lower"))
 
 
 def _refuse_few(raw: RawLevels) -> RawLevels:
-    """Refuse fewer than five levels."""
+    """The levels themselves; refuses (InputError) fewer than five."""
     count = raw.pressure_pa.size
     if count < FEWEST_LEVELS:
         raise messages.sounding_levels(where=raw.where, count=count, fewest=FEWEST_LEVELS)
@@ -213,7 +219,11 @@ def _refuse_few(raw: RawLevels) -> RawLevels:
 
 
 def _complete_levels(raw: RawLevels) -> RawLevels:
-    """The levels with possible pressure and temperature, by falling pressure."""
+    """The levels with a possible pressure and temperature, by falling pressure.
+
+    Levels that are left out, and levels out of order, are noted. Refuses (InputError) fewer than
+    five.
+    """
     p = raw.pressure_pa
     t = raw.temperature_k
     has_both = np.isfinite(p) & np.isfinite(t) & ~_is_fill(t)
@@ -242,13 +252,17 @@ def _complete_levels(raw: RawLevels) -> RawLevels:
 
 
 def _is_fill(kelvin: Array) -> Mask:
-    """Which temperatures or dew points are -99.9 C and the like: numbers for a missing value."""
+    """Mask of temperatures or dew points that mark a missing value, as -99.9 C (see `_FILLS_C`)."""
     departure = np.abs(kelvin[:, None] - ZERO_CELSIUS_K - _FILLS_C)
     return np.asarray(np.any(departure < 1e-6, axis=1))
 
 
 def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
-    """Vapour pressure [Pa] from what there is, at most saturation over water; NaN if nothing."""
+    """The levels with vapour pressure, at most that of saturation over water; NaN where unknown.
+
+    At each level it is that of the file, else by the dew point, else by the relative humidity.
+    Impossible humidities are noted, or refused (InputError) if many.
+    """
     t = raw.temperature_k
     p = raw.pressure_pa
     e = _vapour(raw).copy()
@@ -279,7 +293,7 @@ def _with_vapour_pressure(raw: RawLevels) -> RawLevels:
 
 
 def _possible_dew_points(raw: RawLevels, dew_point_k: Array) -> tuple[RawLevels, Array]:
-    """Dew points [K] that air has, else NaN; those that no air has are noted."""
+    """The levels with a note about impossible dew points, and the dew points, NaN for these."""
     dew = np.where(_is_fill(dew_point_k), np.nan, dew_point_k)
     is_possible = (dew >= COLDEST_K) & (dew <= WARMEST_K)
     is_wrong = np.isfinite(dew) & ~is_possible
@@ -295,11 +309,12 @@ def _possible_dew_points(raw: RawLevels, dew_point_k: Array) -> tuple[RawLevels,
 
 
 def _refuse_exchanged(raw: RawLevels, dew_point_k: Array) -> None:
-    """Refuse dew points that are temperatures: above these in most levels, below in hardly any.
+    """Refuse (InputError) dew points and temperatures that are exchanged.
 
-    Depressions of the dew point in its place are above temperatures too where it freezes. They are
-    not negative, and they hardly fall with the height as temperatures do: `_refuse_too_wet` tells
-    of them.
+    Then the dew points [K] are above the temperatures in most levels, and below in hardly any.
+    Depressions of the dew point in place of dew points are above temperatures below freezing too:
+    these, which are never negative in degC and do not fall with height, are left to
+    `_refuse_too_wet`.
     """
     above_k = dew_point_k - raw.temperature_k
     is_known = np.isfinite(above_k)
@@ -309,10 +324,11 @@ def _refuse_exchanged(raw: RawLevels, dew_point_k: Array) -> None:
     share_not_below = float(np.mean(above_k[is_known] >= 0.0))
     if share_far_above <= MOST_LEVELS or share_not_below < NEARLY_ALL_LEVELS:
         return
-    upward_k = dew_point_k[is_known]
-    is_never_negative = upward_k.min() >= ZERO_CELSIUS_K  # read as dew points in degC
+    upward_k = dew_point_k[is_known]  # from the ground up
+    is_never_negative = upward_k.min() >= ZERO_CELSIUS_K
     falls = upward_k[0] > upward_k[-1]
-    if is_never_negative and not falls:  # depressions
+    are_depressions = is_never_negative and not falls
+    if are_depressions:
         return
     raise messages.sounding_dew_points_exchanged(
         **_where_stated(raw, "dew point"),
@@ -321,35 +337,42 @@ def _refuse_exchanged(raw: RawLevels, dew_point_k: Array) -> None:
 
 
 def _refuse_too_wet(raw: RawLevels, e: Array, saturated: Array) -> None:
-    """Refuse levels of which more than a fifth have a humidity that no air has."""
+    """Refuse (InputError) levels if more than a fifth have more than 150 % relative humidity.
+
+    ``e`` (n,) are vapour pressures, NaN where unknown, ``saturated`` (n,) those of saturation [Pa].
+    """
     has_humidity = np.isfinite(e)
     is_too_wet = e[has_humidity] > TOO_WET * saturated[has_humidity]
-    wet = float(np.mean(is_too_wet))
-    if wet <= MOST_TOO_WET:
+    share = float(np.mean(is_too_wet))
+    if share <= MOST_TOO_WET:
         return
     quantity = "dew point" if raw.dew_point_k is not None else "relative humidity"
     raise messages.sounding_too_wet(
         **_where_stated(raw, quantity),
         quantity=quantity,
-        percent=100.0 * wet,
+        percent=100.0 * share,
         limit_percent=100.0 * TOO_WET,
     )
 
 
-def _with_heights(raw: RawLevels, start: float) -> RawLevels:
-    """Geopotential heights [m'], computed where the file has none; ``start`` of the lowest."""
+def _with_heights(raw: RawLevels, lowest_h: float) -> RawLevels:
+    """The levels with geopotential heights, computed by the hypsometric equation where missing.
+
+    ``lowest_h`` [m'] is the height of the lowest level if the file has no height at all. Refuses
+    (InputError) levels without any height, and heights that contradict pressure and temperature.
+    """
     h = raw.h_m.copy()
     rise = _hypsometric_rise(raw)
     if not bool(np.isfinite(h).any()):
-        if not math.isfinite(start):
+        if not math.isfinite(lowest_h):
             raise messages.sounding_height(where=raw.where, total=h.size)
-        h[0] = start
+        h[0] = lowest_h
     has_height = np.isfinite(h)
     refuse_wrong_heights(raw, h[has_height], rise[has_height])
     missing = int((~has_height).sum())
     if missing:
         raw = raw.noting(messages.sounding_heights(where=raw.where, count=missing))
-        # The departure of the reported heights from the hypsometric ones, carried to the gaps.
+        # Hypsometric heights plus the departure of stated ones, interpolated to the gaps.
         departure = (h - rise)[has_height]
         computed = rise + np.interp(rise, rise[has_height], departure)
         h = np.where(has_height, h, computed)
@@ -357,7 +380,10 @@ def _with_heights(raw: RawLevels, start: float) -> RawLevels:
 
 
 def _hypsometric_rise(raw: RawLevels) -> Array:
-    """(n,) heights [m'] of the levels above the first, by trapezoids in ln p."""
+    """(n,) heights [m'] of the levels above the first by the hypsometric equation.
+
+    Virtual temperature is integrated over ln p by trapezoids; unknown humidity counts as dry.
+    """
     virtual = refractive_index.virtual_temperature(
         raw.temperature_k,
         raw.pressure_pa,
@@ -369,9 +395,10 @@ def _hypsometric_rise(raw: RawLevels) -> Array:
 
 
 def _rising_levels(raw: RawLevels) -> RawLevels:
-    """Means of levels of one pressure or one height, of which the fewest are left out.
+    """Levels with strictly rising height and strictly falling pressure.
 
-    Without these, height rises as pressure falls.
+    Neighbours of the same pressure or the same height are averaged. Then as few levels as possible
+    are left out. Both are noted. Refuses (InputError) fewer than five levels.
     """
     levels = raw.pressure_pa.size
     raw = _mean_of_runs(raw, raw.pressure_pa)
@@ -400,15 +427,17 @@ def _longest_rise(h: Array) -> Rows:
     >>> _longest_rise(np.array([0.0, 5.0, 3.0, 4.0, 9.0])).tolist()
     [0, 2, 3, 4]
     """
-    last_of_length: list[int] = []  # row of the lowest end of a sequence of each length
-    previous = np.full(h.size, -1, dtype=np.intp)
+    # Item k: the last row of the rising sequence of k + 1 rows that ends lowest. The ends rise.
+    last_of_length: list[int] = []
+    previous = np.full(h.size, -1, dtype=np.intp)  # row before a row in its sequence, -1 without
     for row, height in enumerate(h):
-        length = 0
+        length = 0  # of the longest sequence that this row continues
         if last_of_length:
             length = int(np.searchsorted(h[last_of_length], height))
         if length:
             previous[row] = last_of_length[length - 1]
         last_of_length[length : length + 1] = [row]
+    # Back from the end of the longest sequence.
     chain = last_of_length[-1:]
     while chain and previous[chain[-1]] >= 0:
         chain.append(int(previous[chain[-1]]))
@@ -416,10 +445,15 @@ def _longest_rise(h: Array) -> Rows:
 
 
 def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:
-    """Means over runs of equal neighbours; of humidity over the levels that have it."""
+    """The levels with neighbours of equal ``key`` (n,) replaced by their mean.
+
+    Missing values, as of humidity, are left out of the means. Dew points and relative humidities
+    are dropped: vapour pressures are complete.
+    """
     is_next_run = np.diff(key) != 0.0
-    run = np.concatenate([[0], np.cumsum(is_next_run)])
-    if run[-1] == key.size - 1:
+    run = np.concatenate([[0], np.cumsum(is_next_run)])  # number of the run of each level
+    has_no_equals = run[-1] == key.size - 1
+    if has_no_equals:
         return raw
     return replace(
         raw,
@@ -433,7 +467,10 @@ def _mean_of_runs(raw: RawLevels, key: Array) -> RawLevels:
 
 
 def _means(column: Array, group: Rows) -> Array:
-    """Means of the values of each group, NaN of a group without any."""
+    """Means of the finite values of each group; NaN for a group without any.
+
+    ``group`` (n,) are numbers of groups, from 0 on.
+    """
     has_value = np.isfinite(column)
     total = np.bincount(group, np.where(has_value, column, 0.0))
     count = np.bincount(group, has_value.astype(np.float64))
@@ -441,7 +478,7 @@ def _means(column: Array, group: Rows) -> Array:
 
 
 def _vapour(raw: RawLevels) -> Array:
-    """Vapour pressure [Pa] of the levels, NaN where there is none."""
+    """(n,) vapour pressures of the levels [Pa]; NaN where missing, or everywhere if not given."""
     if raw.vapour_pressure_pa is None:
         return np.full(raw.pressure_pa.shape, np.nan)
     return raw.vapour_pressure_pa

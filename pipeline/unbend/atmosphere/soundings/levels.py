@@ -1,4 +1,4 @@
-"""Levels of a balloon sounding: as a file has them, as the estimator takes them, and its fields."""
+"""Levels of a sounding, as a file has them and as the estimator takes them; texts as numbers."""
 
 import math
 import re
@@ -14,13 +14,13 @@ from unbend.table_dialect import form_of, split_rows, with_decimal_points
 from unbend.units import HECTOPASCAL, NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K, Array
 
 FILLS = (-9999.0, -9999.9, -8888.0, -99999.0, 99999.0, 999999.0, -999.0)
-"""Numbers that mean a missing value. 9999 is not among them: it may be a height."""
+"""Numbers that mark a missing value. 9999 is not among them: it may be a height."""
 
 Columns = Mapping[str, list[str]]
 """The columns of a table by name, fields as text."""
 
 LARGEST = 1e7  # larger values in any unit are invalid, such as the fill of netCDF, 9.97e36
-_YEARS = (1900, 2200)  # soundings are younger; beyond 2262 nanoseconds do not fit into 64 bits
+_YEARS = (1900, 2200)  # of valid times; nanoseconds after 2262 do not fit into 64 bits
 
 _UNIT: dict[str, Callable[[Array], Array]] = {
     **dict.fromkeys(("pa", "k", "m", "1"), lambda value: value),
@@ -32,11 +32,11 @@ _UNIT: dict[str, Callable[[Array], Array]] = {
 
 @dataclass(frozen=True, eq=False)
 class ColumnErrors:
-    """Errors of a column of air where and when it was taken, beside those of single levels.
+    """Errors that the levels of a column of air share, at its place and time.
 
-    One sigma at each of the levels, or of all; at heights d apart they correlate as
-    exp(-d / length). ``log_pressure`` is that of ln p at the lowest level. The defaults are a
-    balloon's (instrument, and its way with the wind), set by judgement.
+    One sigma for each level, or a single one for all. Errors of levels that are d apart in height
+    correlate as exp(-d / length). ``log_pressure`` is one sigma of ln p at the lowest level. The
+    defaults are those of a balloon (instrument, and drift with the wind), set by judgement.
     """
 
     temperature_k: Array | float = 1.2
@@ -54,8 +54,9 @@ class Sounding:
     decreasing, vapour pressure NaN where it was not measured. ``time_ns``: release of the balloon,
     or the hour of the observation [Unix ns], None if unknown; ``station`` as the file has it, may
     be empty; position NaN where the file has none; ``origin``: the format it was read as; ``kind``:
-    first word of its name, and the basis of an estimate that rests on it; ``errors`` of the column,
-    to which age and distance add; ``across`` a coast or a ridge from the flight.
+    "sounding" or "weather model", for messages and as the basis of an estimate; ``errors`` of the
+    column, to which age and distance add; ``across``: whether a coast or a ridge is between it and
+    the flight.
     """
 
     h_m: Array
@@ -73,7 +74,7 @@ class Sounding:
 
     @property
     def name(self) -> str:
-        """Kind, station and time, for messages."""
+        """Kind, station and time (those that are known), for messages."""
         when = ""
         if self.time_ns is not None:
             when = str(np.datetime64(self.time_ns, "ns").astype("datetime64[m]"))
@@ -89,12 +90,13 @@ class Sounding:
 
 @dataclass(frozen=True, eq=False)
 class RawLevels:
-    """The levels of one ascent in the order of the file; (n,) arrays, NaN where there is nothing.
+    """The levels of one ascent in the order of the file; (n,) arrays, NaN for a missing value.
 
-    ``h_m`` are heights above sea level [m], geopotential where ``geopotential`` is true. Of
-    humidity a file has one or more of: dew point [K], vapour pressure [Pa], relative humidity over
-    water [1]. ``column_of`` each quantity is the file's column, which states its unit; ``notes``
-    are what is to be reported of the file and of what became of its levels.
+    ``h_m`` are heights above sea level [m], geopotential heights [m'] where ``geopotential`` is
+    true. Humidity is in one or more of: dew point [K], vapour pressure [Pa], relative humidity over
+    water [1]. ``where`` is the file, and the line where known, for messages. ``column_of`` gives
+    names of the file's columns by quantity, as "dew point"; quantities may be missing in it.
+    ``notes`` are messages about the file and its levels.
     """
 
     h_m: Array
@@ -114,17 +116,17 @@ class RawLevels:
     notes: Notes = ()
 
     def noting(self, *notes: Message) -> "RawLevels":
-        """The same with more notes."""
+        """The same levels with further notes."""
         return replace(self, notes=(*self.notes, *notes))
 
 
 def to_si(value: Array, unit: str) -> Array:
-    """A column in SI; ``unit`` is pa | hpa | k | c | m | 1 | percent."""
+    """Values of the unit pa, hpa, k, c, m, 1 or percent converted to Pa, K, m or 1."""
     return _UNIT[unit](value)
 
 
 def number(text: str) -> float:
-    """A field as a number; NaN where it is empty, no number, a fill value or above `LARGEST`.
+    """A field as a number; NaN if it is not a number, is in `FILLS` or is larger than `LARGEST`.
 
     >>> number(" 12.5"), number("-9999"), number("///")
     (12.5, nan, nan)
@@ -139,14 +141,16 @@ def number(text: str) -> float:
 
 
 def numbers(texts: Iterable[str]) -> Array:
-    """Fields of one column as numbers, see `number`."""
+    """Fields of one column as numbers, each by `number`."""
     return np.array([number(text) for text in texts], dtype=np.float64)
 
 
 def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
     """The columns of a table by name, fields as text; lines that begin with # are comments.
 
-    Fields are parted as `unbend.table_dialect` knows it; decimal commas become points.
+    `unbend.table_dialect` finds how fields are separated; decimal commas become points. Refuses
+    (InputError) an empty table, one that cannot be read and one with a name twice. ``where`` is the
+    file, for messages.
     """
     filled = [line for line in lines if line.strip() and not line.startswith("#")]
     if not filled:
@@ -173,7 +177,9 @@ def table(lines: Iterable[str], where: str) -> dict[str, list[str]]:
 
 
 def utc_ns(text: str) -> int | None:
-    """Nanoseconds of a time in ISO 8601, UTC without an offset; None where it is none.
+    """Unix nanoseconds of a time in ISO 8601, UTC where it has no offset, to a millisecond.
+
+    None if the text is not such a time, or the year is not from 1900 to 2200.
 
     >>> utc_ns("2011-05-22 12:00:00") == utc_ns("2011-05-22T14:00:00+02:00") == 1306065600 * 10**9
     True
@@ -199,11 +205,11 @@ class PlaceOfSounding:
 
 
 _NOT_STATED = ("", "nan", "na", "n/a", "none", "null", "-", "--", "///")
-_UNKNOWN_DEG = (-99.99, -99.9, -98.8888, -998.8888)  # Wyoming; a ship of IGRA, under way
+_UNKNOWN_DEG = (-99.99, -99.9, -98.8888, -998.8888)  # fills of Wyoming and, for ships, of IGRA
 
 
 def place_of_numbers(latitude_deg: float, longitude_deg: float) -> PlaceOfSounding:
-    """A place from degrees, of which longitudes may count from 0 to 360; NaN where it is none.
+    """A place from degrees; longitudes may be from -180 to 360. NaN where they are out of range.
 
     >>> place = place_of_numbers(48.0, 343.65)
     >>> round(math.degrees(place.longitude_rad), 2)
@@ -216,10 +222,10 @@ def place_of_numbers(latitude_deg: float, longitude_deg: float) -> PlaceOfSoundi
 
 
 def stated_place(latitude: str, longitude: str, where: str) -> PlaceOfSounding:
-    """The place that two fields of a file state, in degrees; a latitude may stand alone.
+    """The place that two fields of a file state in degrees; a latitude alone is kept.
 
-    Not stated are empty fields and fill values. Refuses (InputError SOUNDING-PLACE) a field that is
-    stated and is no latitude or longitude.
+    Empty fields and fill values state nothing: NaN. Refuses (InputError SOUNDING-PLACE) other
+    fields that are not a latitude or a longitude.
     """
     north_deg = _stated_degrees(latitude)
     east_deg = _stated_degrees(longitude)
@@ -234,7 +240,7 @@ def stated_place(latitude: str, longitude: str, where: str) -> PlaceOfSounding:
 
 
 def _stated_degrees(text: str) -> float:
-    """The degrees of a field, NaN where it states none, infinite where it is no number."""
+    """The degrees of a field: NaN if empty or a fill value, infinite if it is not a number."""
     text = text.strip()
     if text.lower() in _NOT_STATED:
         return math.nan
@@ -251,22 +257,22 @@ _WITHOUT_HOUR = re.compile(r"\d{4}-?\d\d-?\d\d")
 
 
 def first_stated(fields: Iterable[str]) -> str:
-    """The first field of a column that states something; empty where none does.
+    """The first field of a column that is neither empty nor a fill value; "" if none is.
 
     >>> first_stated(["", "-9999", "48.25"])
     '48.25'
     """
     for text in fields:
-        if not math.isnan(_stated_degrees(text)):
+        is_stated = not math.isnan(_stated_degrees(text))  # texts are infinite degrees
+        if is_stated:
             return text.strip()
     return ""
 
 
 def stated_time_ns(text: str, where: str) -> int | None:
-    """The time that a field of a file states [Unix ns]; None where it states none.
+    """The time that a field of a file states [Unix ns]; None if the field is empty.
 
-    Refuses (InputError SOUNDING-TIME) a text that is no time, such as a date without its hour:
-    what is stated and cannot be read is not unknown.
+    Refuses (InputError SOUNDING-TIME) a text that is not a time, such as a date without its hour.
     """
     if text.strip().lower() in _NOT_STATED:
         return None

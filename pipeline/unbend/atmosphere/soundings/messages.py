@@ -25,7 +25,10 @@ def model_area(
     west_node: float,
     east_node: float,
 ) -> InputError:
-    """A place of the flight is ``away_km`` outside the nodes of a weather model, or in a hole."""
+    """A place of the flight is outside the nodes of a weather model, or in a hole of them.
+
+    All positions are in degrees: of the place, and of the outermost nodes.
+    """
     return InputError(
         MODEL_AREA,
         (
@@ -57,7 +60,7 @@ MODEL_EXTENDED = Code(
 
 
 def model_extended(*, where: str, depth: float, ground: float, sigma: float) -> Message:
-    """The lowest level of a weather model is above the true ground."""
+    """The lowest level of a model is ``depth`` [m] above the ``ground``; ``sigma`` [K] is there."""
     return fallback(
         MODEL_EXTENDED,
         (
@@ -110,7 +113,10 @@ MODEL_GROUND_UNIT = Code(
 
 
 def model_ground_unit(*, where: str, count: int, highest: float) -> Message:
-    """A ground without a unit is taken as metres, which fit its surface pressure."""
+    """A model's ground without a unit is taken as metres, which fit its surface pressure.
+
+    ``count`` is the number of nodes, ``highest`` the highest ground [m].
+    """
     return fallback(
         MODEL_GROUND_UNIT,
         (
@@ -141,7 +147,11 @@ MODEL_LAYER = Code(
 def model_layer(
     *, where: str, lower: float, upper: float, mean: float, implied: float, count: int
 ) -> Message:
-    """A layer of a weather model is not as thick as its temperatures imply."""
+    """A layer of a weather model is not as thick as its temperatures imply.
+
+    ``lower``, ``upper`` are the pressures at its ends [hPa]; ``mean`` is its temperature and
+    ``implied`` that by its thickness [K]. It is the worst of ``count`` such layers.
+    """
     return warning(
         MODEL_LAYER,
         (
@@ -180,7 +190,11 @@ def model_levels_jump(
     north: float,
     east: float,
 ) -> InputError:
-    """The temperature changes from one level to the next more than in any air."""
+    """The temperature changes from one level to the next more than in any air.
+
+    ``lower``, ``upper`` are names of the levels, ``thick`` is the height between them [m];
+    ``north``, ``east`` are the place [degrees].
+    """
     return InputError(
         MODEL_LEVELS,
         (
@@ -200,7 +214,10 @@ def model_levels_jump(
 
 
 def model_levels(*, where: object, total: int, which: str, listed: str, fewest: int) -> InputError:
-    """A weather model has too few levels for a profile, or a series of levels has holes."""
+    """A weather model has too few levels for a profile, or its levels do not rise.
+
+    ``which`` describes the levels, as "above the ground"; ``listed`` are their pressures [hPa].
+    """
     return InputError(
         MODEL_LEVELS,
         "{total} levels {which} ({listed} hPa): a profile needs at least {fewest}, rising",
@@ -243,7 +260,10 @@ MODEL_PRESSURE_UNIT = Code(
 
 
 def model_pressure_unit(*, where: str, lowest: float, factor: float) -> Message:
-    """The pressure levels cannot be in the unit that the file states."""
+    """The pressure levels cannot be in the stated unit; they are multiplied by ``factor``.
+
+    ``lowest`` is the pressure of the lowest level in the stated unit.
+    """
     return fallback(
         MODEL_PRESSURE_UNIT,
         "pressure levels up to {lowest:.6g} Pa in the stated unit: multiplied by {factor:g}",
@@ -262,7 +282,7 @@ MODEL_UNDERGROUND = Code(
 
 
 def model_underground(*, where: str, count: int, bottom: float) -> Message:
-    """Levels of a weather model lie under the ground."""
+    """Levels of a weather model are under the ground at the height ``bottom`` [m]: left out."""
     return note(
         MODEL_UNDERGROUND,
         "{count} levels are under the ground at {bottom:.0f} m: left out",
@@ -287,7 +307,7 @@ MODEL_UNITS = Code(
 
 
 def model_without_values(*, where: str) -> InputError:
-    """All temperatures and humidities around the flight are missing."""
+    """No temperature or no humidity of a model around the flight has a value."""
     return InputError(
         MODEL_UNITS,
         "no value of temperature and humidity around the flight",
@@ -297,7 +317,7 @@ def model_without_values(*, where: str) -> InputError:
 
 
 def model_temperatures(*, where: str, coldest_k: float, warmest_k: float) -> InputError:
-    """Temperatures of a model that no air has."""
+    """The temperatures of a model do not occur in air."""
     return InputError(
         MODEL_UNITS,
         "temperatures from {coldest_k:.6g} to {warmest_k:.6g} K do not occur in air",
@@ -309,7 +329,7 @@ def model_temperatures(*, where: str, coldest_k: float, warmest_k: float) -> Inp
 
 
 def model_humidities(*, where: str, kind: str, driest: float, wettest: float) -> InputError:
-    """Humidities of a model that are no fractions."""
+    """The humidities of a model are neither kg/kg nor fractions; ``kind``: specific or relative."""
     return InputError(
         MODEL_UNITS,
         (
@@ -325,7 +345,7 @@ def model_humidities(*, where: str, kind: str, driest: float, wettest: float) ->
 
 
 def model_ground_height(*, where: str, highest_m: float) -> InputError:
-    """The ground of a model is higher or lower than any."""
+    """The ground of a model is higher or lower than any ground of the earth."""
     return InputError(
         MODEL_UNITS,
         "its ground is up to {highest_m:.6g} m high",
@@ -336,7 +356,7 @@ def model_ground_height(*, where: str, highest_m: float) -> InputError:
 
 
 def model_surface_pressure(*, where: str, departure: float) -> InputError:
-    """Surface pressure and height of the ground contradict each other."""
+    """Surface pressure and height of a model's ground differ, by ``departure`` in ln p."""
     return InputError(
         MODEL_UNITS,
         (
@@ -350,7 +370,7 @@ def model_surface_pressure(*, where: str, departure: float) -> InputError:
 
 
 def model_highest_pressure(*, where: str, highest_pa: float) -> InputError:
-    """The lowest level of a model is not near the ground in any unit."""
+    """The highest pressure level of a model is not near the ground, in Pa or in hPa."""
     return InputError(
         MODEL_UNITS,
         "the highest pressure level is {highest_pa:.6g} Pa, not near the ground",
@@ -361,7 +381,7 @@ def model_highest_pressure(*, where: str, highest_pa: float) -> InputError:
 
 
 def model_thickness(*, where: str, ratio: float) -> InputError:
-    """Layers of a model are not as thick as their temperatures imply."""
+    """The layers of a model are ``ratio`` times as thick as their temperatures imply."""
     return InputError(
         MODEL_UNITS,
         (
@@ -377,7 +397,10 @@ def model_thickness(*, where: str, ratio: float) -> InputError:
 def model_units_ground(
     *, where: object, surface: float, ground: float, metres: float
 ) -> InputError:
-    """Values of a weather model are not what their names say."""
+    """A ground without a unit fits the true ground as metres, not as geopotential.
+
+    Its height [m] is ``surface`` as geopotential and ``metres`` as metres; the true one ``ground``.
+    """
     return InputError(
         MODEL_UNITS,
         (
@@ -401,7 +424,7 @@ SOUNDING_CHOICE = Code(
 
 
 def sounding_choice_rows(*, where: object, hours: float) -> InputError:
-    """The rows of a table are farther apart in time than one ascent takes."""
+    """The times of the rows of a table differ by more hours than an ascent takes."""
     return InputError(
         SOUNDING_CHOICE,
         (
@@ -437,7 +460,7 @@ def sounding_choice_undated(*, where: object, total: int) -> InputError:
 
 
 def sounding_choice_begins_again(*, where: object) -> InputError:
-    """The rows of a table begin again at the ground."""
+    """The pressures of a table begin again at the ground, as of another ascent."""
     return InputError(
         SOUNDING_CHOICE,
         (
@@ -450,7 +473,7 @@ def sounding_choice_begins_again(*, where: object) -> InputError:
 
 
 def sounding_choice_same_time(*, where: object, total: int) -> InputError:
-    """Several soundings of a file have the same time."""
+    """Several soundings of a file have the time that is nearest to the flight."""
     return InputError(
         SOUNDING_CHOICE,
         "{total} soundings of the file have the time that is nearest to the flight",
@@ -471,7 +494,7 @@ SOUNDING_CHOSEN = Code(
 
 
 def sounding_chosen(*, where: str, count: int, hours: float) -> Message:
-    """The file has several soundings. The sounding nearest in time is used."""
+    """Of ``count`` soundings of a file the nearest in time is used, ``hours`` from the flight."""
     return note(
         SOUNDING_CHOSEN,
         "of {count} soundings, the one {hours:.1f} hours away is used",
@@ -494,7 +517,7 @@ SOUNDING_COLUMN = Code(
 
 
 def sounding_column_twice(*, where: str, column: str) -> InputError:
-    """A name stands twice in the head of a table."""
+    """Two columns of a table have the same name."""
     return InputError(
         SOUNDING_COLUMN,
         "the column {column!r} occurs twice",
@@ -505,7 +528,7 @@ def sounding_column_twice(*, where: str, column: str) -> InputError:
 
 
 def sounding_quantity_twice(*, where: str, column: str, other: str, quantity: str) -> InputError:
-    """Two columns give the same quantity."""
+    """Two columns of a plain CSV give the same quantity."""
     return InputError(
         SOUNDING_COLUMN,
         "{column} and {other} both give the {quantity}",
@@ -529,7 +552,10 @@ def sounding_column_wyoming(*, where: object, missing: str) -> InputError:
 
 
 def sounding_column(*, where: object, needed: str, present: str, names: str) -> InputError:
-    """No column of a plain CSV gives a quantity that every sounding needs."""
+    """No column of a plain CSV gives a quantity that is ``needed``.
+
+    ``present`` lists the columns of the file, ``names`` those that would give the quantity.
+    """
     return InputError(
         SOUNDING_COLUMN,
         "no column gives the {needed} with its unit; there are {present}",
@@ -550,7 +576,7 @@ SOUNDING_COLUMNS_UNUSED = Code(
 
 
 def sounding_columns_unused(*, where: str, count: int, columns: str) -> Message:
-    """Columns of a table that have no meaning here."""
+    """Some columns of a plain CSV have unknown names and are not read."""
     return note(
         SOUNDING_COLUMNS_UNUSED,
         "columns that are not read: {columns}",
@@ -569,7 +595,7 @@ SOUNDING_CUT_OFF = Code(
 
 
 def sounding_cut_off(*, where: str, count: int) -> Message:
-    """Soundings have a header and no levels."""
+    """Some soundings of a file have a header and no levels."""
     return loss(
         SOUNDING_CUT_OFF,
         (
@@ -593,7 +619,7 @@ SOUNDING_DUPLICATE = Code(
 
 
 def sounding_duplicate(*, where: str, count: int) -> Message:
-    """Levels repeat the pressure or the height of another."""
+    """Some levels have the pressure or the height of another level: averaged."""
     return note(
         SOUNDING_DUPLICATE,
         "{count} levels repeat the pressure or the height of another: averaged",
@@ -612,14 +638,14 @@ SOUNDING_EMPTY = Code(
 
 
 def sounding_without_lines(*, where: str) -> InputError:
-    """The file of a sounding has no line."""
+    """The file of a sounding has no line but comments."""
     return InputError(
         SOUNDING_EMPTY, "the sounding is empty", where=where, remedy="fetch the file again"
     )
 
 
 def sounding_no_table(*, where: str, error: str) -> InputError:
-    """The lines of a sounding's table do not show how its fields are parted."""
+    """The text of a sounding cannot be read as a table; ``error`` is the reason."""
     return InputError(
         SOUNDING_EMPTY,
         "the sounding cannot be read as a table: {error}",
@@ -651,7 +677,7 @@ SOUNDING_FORMAT = Code(
 
 
 def sounding_format_igra(*, where: object) -> InputError:
-    """A file is stated to be of IGRA, and has no header of a sounding."""
+    """A file is stated to be of IGRA, and no line begins with # as headers do."""
     return InputError(
         SOUNDING_FORMAT,
         "is not an IGRA file: none of its lines begins with #, as the header of a sounding does",
@@ -661,7 +687,7 @@ def sounding_format_igra(*, where: object) -> InputError:
 
 
 def sounding_format_name(*, where: object, name: str, names: str) -> InputError:
-    """The mission file states a format of soundings that is not known."""
+    """A format of soundings with the stated name does not exist."""
     return InputError(
         SOUNDING_FORMAT,
         "no format of soundings is called {name!r}",
@@ -673,7 +699,7 @@ def sounding_format_name(*, where: object, name: str, names: str) -> InputError:
 
 
 def sounding_format_header(*, where: object, header: str) -> InputError:
-    """A line begins as the header of an IGRA sounding, and is not one."""
+    """A line of an IGRA file begins with #, and is not the header of a sounding."""
     return InputError(
         SOUNDING_FORMAT,
         "{header!r} is not the header of an IGRA sounding",
@@ -684,7 +710,7 @@ def sounding_format_header(*, where: object, header: str) -> InputError:
 
 
 def sounding_format(*, where: object, begins: str) -> InputError:
-    """The format is not stated, and the file begins as none of the known ones."""
+    """The format is not stated, and none recognises the file; ``begins`` is its first line."""
     return InputError(
         SOUNDING_FORMAT,
         "is not a sounding in a known format: it begins with {begins!r}",
@@ -725,7 +751,7 @@ SOUNDING_HEIGHTS = Code(
 
 
 def sounding_heights(*, where: str, count: int) -> Message:
-    """Levels have no height."""
+    """Some levels have no height: it is computed."""
     return fallback(
         SOUNDING_HEIGHTS,
         "{count} levels have no height: it is computed from pressure and temperature",
@@ -744,7 +770,7 @@ SOUNDING_HUMIDITY_NEGATIVE = Code(
 
 
 def sounding_humidity_negative(*, where: str, count: int) -> Message:
-    """Levels have a humidity below zero."""
+    """Some levels have a humidity below zero: treated as unknown."""
     return warning(
         SOUNDING_HUMIDITY_NEGATIVE,
         "{count} levels have a humidity below zero: treated as unknown",
@@ -763,7 +789,7 @@ SOUNDING_HUMIDITY_OVER = Code(
 
 
 def sounding_humidity_over(*, where: str, count: int, percent: float) -> Message:
-    """Levels have more than 100 % humidity."""
+    """Some levels have more than 100 % humidity, at most ``percent``: treated as saturated."""
     return warning(
         SOUNDING_HUMIDITY_OVER,
         (
@@ -789,7 +815,7 @@ SOUNDING_HUMIDITY_RANGE = Code(
 
 
 def sounding_humidity_range(*, where: str, count: int, first: float) -> Message:
-    """Levels have an impossible dew point."""
+    """Some levels have an impossible dew point, the ``first`` in K: treated as unknown."""
     return warning(
         SOUNDING_HUMIDITY_RANGE,
         (
@@ -812,7 +838,7 @@ SOUNDING_INCONSISTENT = Code(
 
 
 def sounding_inconsistent(*, where: object, ratio: float) -> InputError:
-    """The layers of the sounding are not as thick as their pressures and temperatures imply."""
+    """The layers are ``ratio`` times as thick as their pressures and temperatures imply."""
     return InputError(
         SOUNDING_INCONSISTENT,
         "the layers are {ratio:.3f} times as thick as their pressures and temperatures imply",
@@ -837,7 +863,7 @@ SOUNDING_INDEX_RISES = Code(
 
 
 def sounding_index_rises(*, where: str, percent: float, low_m: float, high_m: float) -> Message:
-    """The refractive index grows with height more than in any mirage."""
+    """The refractive index grows with height in a layer, more than over hot ground."""
     return warning(
         SOUNDING_INDEX_RISES,
         (
@@ -904,7 +930,7 @@ SOUNDING_MISSING = Code(
 
 
 def sounding_missing(*, where: str, count: int, total: int) -> Message:
-    """Levels have no pressure or no temperature."""
+    """Some levels have no pressure or no temperature: not used."""
     return note(
         SOUNDING_MISSING,
         "{count} of {total} levels have no pressure or no temperature, and are not used",
@@ -923,7 +949,10 @@ SOUNDING_ORDER = Code(
 
 
 def sounding_order(*, where: str, count: int, height_m: float, hpa: float) -> Message:
-    """Levels are lower than a level with a higher pressure."""
+    """Some levels are lower than a level with a higher pressure: not used.
+
+    ``height_m``, ``hpa`` are those of the first.
+    """
     return warning(
         SOUNDING_ORDER,
         (
@@ -950,7 +979,7 @@ SOUNDING_RANGE = Code(
 
 
 def sounding_range(*, where: str, count: int, hpa: float, kelvin: float) -> Message:
-    """Levels have impossible values."""
+    """Some levels have an impossible pressure or temperature (``hpa``, ``kelvin`` of the first)."""
     return loss(
         SOUNDING_RANGE,
         "{count} levels have impossible values, the first {hpa:.1f} hPa and {kelvin:.1f} K",
@@ -977,7 +1006,7 @@ SOUNDING_SUPERADIABATIC = Code(
 
 
 def sounding_superadiabatic(*, where: str, excess_k: float, low_m: float, high_m: float) -> Message:
-    """The air cools faster with height than any sonde measures."""
+    """The air cools in a layer by ``excess_k`` more than rising dry air."""
     return warning(
         SOUNDING_SUPERADIABATIC,
         (
@@ -1000,7 +1029,7 @@ SOUNDING_TIME = Code(
 
 
 def sounding_time(*, where: str, time: str) -> InputError:
-    """A sounding states a time that is none."""
+    """The time that a sounding states cannot be read."""
     return InputError(
         SOUNDING_TIME,
         "its time {time!r} is not written like 2026-05-14T10:20:00Z",
@@ -1043,7 +1072,7 @@ SOUNDING_PLACE = Code(
 
 
 def sounding_place(*, where: str, latitude: str, longitude: str) -> InputError:
-    """A sounding states a latitude or a longitude that is none."""
+    """The latitude or the longitude that a sounding states cannot be read, or is impossible."""
     return InputError(
         SOUNDING_PLACE,
         "its place ({latitude!r}, {longitude!r}) is not a latitude and a longitude in degrees",
@@ -1064,7 +1093,7 @@ SOUNDING_TRUNCATED = Code(
 
 
 def sounding_truncated(*, where: str, count: int) -> Message:
-    """The header states more levels than the file has."""
+    """The header of a sounding states ``count`` levels more than the file has."""
     return loss(
         SOUNDING_TRUNCATED,
         "the header states {count} levels more than there are",
@@ -1085,7 +1114,7 @@ SOUNDING_UNITS = Code(
 def sounding_too_wet(
     *, where: str, column: str, quantity: str, percent: float, limit_percent: float
 ) -> InputError:
-    """Many levels are far above saturation."""
+    """``percent`` of the levels are above ``limit_percent`` relative humidity: another unit."""
     return InputError(
         SOUNDING_UNITS,
         _with_column(
@@ -1108,7 +1137,7 @@ def sounding_too_wet(
 
 
 def sounding_dew_points_exchanged(*, where: str, column: str, percent: float) -> InputError:
-    """Dew points above the temperatures in nearly all levels."""
+    """Dew points are above the temperatures in ``percent`` of the levels: exchanged."""
     return InputError(
         SOUNDING_UNITS,
         _with_column(
@@ -1128,7 +1157,7 @@ def sounding_dew_points_exchanged(*, where: str, column: str, percent: float) ->
 def sounding_pressure_unit(
     *, where: str, column: str, highest_pa: float, likely: str
 ) -> InputError:
-    """The highest pressure of a sounding is that of no ground."""
+    """The highest pressure of a sounding does not occur near the ground; ``likely``: the reason."""
     return InputError(
         SOUNDING_UNITS,
         _with_column("pressure: the highest pressure is {highest_pa:.6g} Pa: {likely}", column),
@@ -1143,7 +1172,7 @@ def sounding_pressure_unit(
 def sounding_temperature_unit(
     *, where: str, column: str, warmest_k: float, likely: str
 ) -> InputError:
-    """The warmest level of a sounding is that of no air."""
+    """The temperature of the warmest level is impossible; ``likely``: the reason."""
     return InputError(
         SOUNDING_UNITS,
         _with_column("temperature: the warmest level has {warmest_k:.6g} K: {likely}", column),
@@ -1159,7 +1188,7 @@ def sounding_temperature_unit(
 
 
 def sounding_dew_point_unit(*, where: str, column: str, highest_k: float) -> InputError:
-    """The highest dew point of a sounding is that of no air."""
+    """The highest dew point of a sounding is impossible."""
     return InputError(
         SOUNDING_UNITS,
         _with_column("dew point: the highest dew point is {highest_k:.6g} K", column),
@@ -1171,7 +1200,7 @@ def sounding_dew_point_unit(*, where: str, column: str, highest_k: float) -> Inp
 
 
 def sounding_humidity_unit(*, where: str, column: str, highest: float) -> InputError:
-    """The highest relative humidity of a sounding is no fraction."""
+    """The highest relative humidity of a sounding is impossible as a fraction of 1."""
     return InputError(
         SOUNDING_UNITS,
         _with_column(
@@ -1188,7 +1217,7 @@ def sounding_humidity_unit(*, where: str, column: str, highest: float) -> InputE
 
 
 def sounding_vapour_unit(*, where: str, column: str, highest_pa: float) -> InputError:
-    """The highest vapour pressure of a sounding is that of no air."""
+    """The highest vapour pressure of a sounding is impossible."""
     return InputError(
         SOUNDING_UNITS,
         _with_column("vapour pressure: the highest is {highest_pa:.6g} Pa", column),
@@ -1200,7 +1229,7 @@ def sounding_vapour_unit(*, where: str, column: str, highest_pa: float) -> Input
 
 
 def _with_column(text: str, column: str) -> str:
-    """A text that names the column, where the table has one."""
+    """The text with a place for the name of the column, unless ``column`` is empty."""
     return f"{text} (column {{column}})" if column else text
 
 
@@ -1213,7 +1242,7 @@ SOUNDING_UNSORTED = Code(
 
 
 def sounding_unsorted(*, where: str, count: int) -> Message:
-    """Pressure rises from one level to the next."""
+    """Pressure rises ``count`` times from one level to the next: the levels are sorted."""
     return warning(
         SOUNDING_UNSORTED,
         "pressure rises {count} times from one level to the next: the levels are put in order",

@@ -1,4 +1,4 @@
-"""The column of a weather model over a flight, taken as a sounding is.
+"""The column of a weather model over a flight, as a `Sounding`.
 
 Its errors are those of a good analysis. Against radiosondes ERA5 departs by about 1 K in the free
 troposphere, up to 2 K in the lowest kilometre, and 10 to 15 % in relative humidity (Hersbach et al.
@@ -42,12 +42,12 @@ HUMIDITY_RH = 0.15  # one sigma of relative humidity
 ERROR_LENGTH_M = 2000.0  # correlation length of both in height
 LEVEL_LOG_P = 1e-3  # one sigma of ln p at the lowest level
 
-# What a forecast adds with its lead time: 2.7 K after five days.
+# What each day of lead time adds to the sigmas of a forecast: 2.7 K in all after five days.
 FORECAST_K_PER_DAY = 0.5
 FORECAST_RH_PER_DAY = 0.03
 FORECAST_LOG_P_PER_DAY = 1e-3
 
-# What the lapse below the lowest level may be wrong by, in a valley with an inversion.
+# One sigma per metre of extension below the lowest level, as of a valley with an inversion.
 EXTENSION_K_PER_M = 8e-3
 EXTENSION_RH_PER_M = 2e-4
 
@@ -55,32 +55,32 @@ _EXTENSION_STEP_M = 100.0
 _SMALLEST_EXTENSION_M = 20.0
 _USUAL_STEP_M = 300.0  # between pressure levels 25 hPa apart
 
-# A column ends so far above the ground, or above the highest camera: knots of the estimate stay
-# fine.
+# A column ends at the higher of two heights, above the ground and above the highest camera. A
+# higher end would make the knots of the estimate coarser.
 _TOP_M = 10_000.0
 _ABOVE_CAMERA_M = 2000.0
 
 _THICKNESS_K = 10.0
-"""From the mean temperature of two levels to what their heights imply; ERA5 and columns of 22
-soundings reach 5 K."""
+"""Difference of the mean temperature of two levels from that by their heights, above which there is
+a warning; ERA5 and columns of 22 soundings reach 5 K."""
 
-_ANOTHER_GROUND_M = 50.0  # the model's ground beside the true one, before its unit is doubted
+_ANOTHER_GROUND_M = 50.0  # difference of the model's ground from the true one that is usual
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnLevels:
-    """Levels (l,) from the ground up: height [m'], temperature [K], e/p and ln p, with sigmas."""
+    """Levels (l,) of a column from the ground up, with sigmas."""
 
-    height: Array
+    height: Array  # geopotential [m']
     temperature_k: Array
-    vapour: Array
-    log_p: Array
-    sigma_k: Array
-    sigma_rh: Array
+    vapour: Array  # e/p
+    log_p: Array  # ln of the pressure in Pa
+    sigma_k: Array  # of temperature
+    sigma_rh: Array  # of relative humidity (0 to 1)
 
 
 class Ends(NamedTuple):
-    """Between which geopotential heights [m'] levels are used."""
+    """Geopotential heights [m'] between which levels are used."""
 
     bottom: float
     top: float
@@ -93,12 +93,13 @@ def model_column(
     ground_h_m: float,
     highest_h_m: float = 0.0,
 ) -> tuple[Sounding, Notes]:
-    """The column of a model over a place: latitude, longitude [rad] and time [Unix ns].
+    """The column of a model over a ``place``: latitude, longitude [rad] and time [Unix ns].
 
-    ``ground_h_m`` of the true ground, NaN where it is not known; ``highest_h_m`` of the highest
-    camera [m above sea level]. Levels under the ground, the model's or the true one, are left out;
-    where the lowest is more than 20 m above the true ground the column goes on down to it, with
-    growing sigma. Refuses (`InputError`) fewer than five levels. Its time is the file's nearest.
+    ``ground_h_m``: height of the true ground [m above sea level], NaN if not known;
+    ``highest_h_m``: of the highest camera. Levels under the model's or the true ground are left
+    out. If the lowest of the others is more than 20 m above the true ground, the column is extended
+    down to it, with growing sigmas. The time of the sounding is the nearest time of the file.
+    Refuses (`InputError`) fewer than five levels.
     """
     latitude, longitude, time_ns = place
     notes: list[Message] = []
@@ -120,7 +121,7 @@ def model_column(
     )
     levels, left_out = _levels_between(_levels_of(columns, ground), ends, field.name)
     notes += left_out
-    if field.height.size:  # which heights of model levels are not
+    if field.height.size:  # else heights were computed from the temperatures
         notes += _thickness_notes(levels, field.name)
 
     depth = float(levels.height[0] - ground)
@@ -154,7 +155,10 @@ def model_column(
 
 
 def _levels_of(columns: ModelColumns, ground: float) -> ColumnLevels:
-    """The levels of a single column from the ground up, NaN where the model has no air."""
+    """The levels of the first of ``columns`` from the ground up, NaN where the model has no air.
+
+    ``ground``: its height [m'], above which the sigma of temperature falls with height.
+    """
     height = columns.height[0, ::-1]
     sigma_k = np.interp(height - ground, [LOW_M, ALOFT_M], [LOW_K, ALOFT_K])
     return ColumnLevels(
@@ -168,7 +172,11 @@ def _levels_of(columns: ModelColumns, ground: float) -> ColumnLevels:
 
 
 def _refuse_ground_without_unit(field: ModelField, model_ground: float, ground: float) -> None:
-    """Refuse a model's ground, of no stated unit, that fits the true one [m'] in metres only."""
+    """Refuse (InputError) a model's ground that fits the true one only in another unit.
+
+    If the file states no unit, ``model_ground`` [m'] is its number divided by g, as if it were
+    geopotential. It is refused if the number itself, as metres, fits ``ground`` [m'] much better.
+    """
     if field.ground_has_unit:
         return
     metres = STANDARD_GRAVITY * model_ground
@@ -186,32 +194,39 @@ def _levels_between(
     ends: Ends,
     where: str,
 ) -> tuple[ColumnLevels, list[Message]]:
-    """The levels with air between two heights, at least five that rise; others are noted."""
+    """The levels with air between two heights, and messages about levels that are left out.
+
+    Refuses (InputError) fewer than five, or heights that do not rise from level to level.
+    """
     notes: list[Message] = []
     height = levels.height
     has_air = np.isfinite(height + levels.temperature_k + levels.vapour)
     with np.errstate(invalid="ignore"):
-        under = has_air & (height < ends.bottom)
+        is_under = has_air & (height < ends.bottom)
         is_above = height >= ends.top
-        used = has_air & ~under & (height < ends.top)
-    underground = int(under.sum())
+        used = has_air & ~is_under & (height < ends.top)
+    underground = int(is_under.sum())
     if underground:
         note = messages.model_underground(where=where, count=underground, bottom=ends.bottom)
         notes.append(note)
     rises = bool(np.all(np.diff(height[used]) > 0.0))
     if used.sum() < FEWEST_LEVELS or not rises:
         raise too_few_levels(np.exp(levels.log_p[used]), where, "above the ground")
-    # Levels without air are missing below the top; without a level above it any may be.
+    # Levels without air have no height. Those below the first level above the top count as missing,
+    # by their pressures; all do where no level is above the top.
     log_p_above = levels.log_p[has_air & is_above]
-    top_log_p = log_p_above[0] if log_p_above.size else -math.inf
-    missing = int((~has_air & (levels.log_p >= top_log_p)).sum())
+    first_log_p_above = log_p_above[0] if log_p_above.size else -math.inf
+    missing = int((~has_air & (levels.log_p >= first_log_p_above)).sum())
     if missing:
         notes.append(messages.model_missing(where=where, count=missing, total=has_air.size))
     return part_of(levels, used), notes
 
 
 def _thickness_notes(levels: ColumnLevels, where: str) -> list[Message]:
-    """Layers whose heights imply another temperature than their levels have, if there are any."""
+    """A warning about layers whose thickness implies another temperature than their levels have.
+
+    It is about the worst layer; empty if none differs by more than 10 K.
+    """
     virtual = levels.temperature_k / (1.0 - VAPOUR_DEFICIT * levels.vapour)
     mean = 0.5 * (virtual[1:] + virtual[:-1])
     rise = np.diff(levels.height)
@@ -233,12 +248,16 @@ def _thickness_notes(levels: ColumnLevels, where: str) -> list[Message]:
 
 
 def _extended_down(levels: ColumnLevels, depth: float) -> ColumnLevels:
-    """Levels that go on down by a depth [m'] in mixed air: e/p stays, sigmas grow."""
+    """The levels, and below them further ones down to a ``depth`` [m'] under the lowest.
+
+    e/p stays, temperature rises by 6.5 K/km, sigmas grow with the distance from the lowest level.
+    """
     steps = math.ceil(depth / _EXTENSION_STEP_M)
     below = np.linspace(depth, 0.0, 1 + steps)[:-1]  # [m'] under the lowest, from the ground up
     lowest_k = levels.temperature_k[0]
     lowest_vapour = levels.vapour[0]
     warmer = lowest_k + EXTENSION_LAPSE * below
+    # The hydrostatic equation with a constant lapse: p is a power of the temperature.
     exponent = HYDROSTATIC_CONSTANT * (1.0 - VAPOUR_DEFICIT * lowest_vapour) / EXTENSION_LAPSE
     log_p = levels.log_p[0] + exponent * np.log(warmer / lowest_k)
     sigma_k = np.hypot(levels.sigma_k[0], EXTENSION_K_PER_M * below)
@@ -254,7 +273,7 @@ def _extended_down(levels: ColumnLevels, depth: float) -> ColumnLevels:
 
 
 def _lead_days(field: ModelField, time_ns: int) -> float:
-    """Days since the forecast began, 0 of an analysis."""
+    """Lead time of a field at a time [days since the forecast began]; 0 for an analysis."""
     if not field.lead_h.size:
         return 0.0
     lead_h = float(np.interp(time_ns, field.time_ns, field.lead_h))
@@ -262,7 +281,11 @@ def _lead_days(field: ModelField, time_ns: int) -> float:
 
 
 def _column_errors(levels: ColumnLevels, depth: float, days: float) -> ColumnErrors:
-    """The errors of a column that was extended down by a depth [m'], after days of forecast."""
+    """The errors of a column: those of its levels and of ``days`` of forecast.
+
+    ``depth`` [m'] is the part that was added under the lowest level of the model; an error of its
+    lapse changes ln p at the ground.
+    """
     lowest_k = float(levels.temperature_k[0])
     by_extension = HYDROSTATIC_CONSTANT * EXTENSION_K_PER_M * depth**2 / (2.0 * lowest_k**2)
     by_forecast = FORECAST_LOG_P_PER_DAY * days

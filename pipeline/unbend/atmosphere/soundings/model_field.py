@@ -33,71 +33,69 @@ EXTENSION_LAPSE = 6.5e-3
 
 
 class _HumidityLimits(NamedTuple):
-    """What the driest level has at least, and the wettest from and to."""
+    """Limits of the humidities of a field; others show another unit."""
 
-    driest: float
-    wettest_least: float
+    driest: float  # lowest value of the driest level
+    wettest_least: float  # lowest and highest value of the wettest level
     wettest_most: float
 
 
 _RATIO = 0.622  # of the molar masses of water and dry air
 
-# The highest pressure of levels that reach the ground [Pa].
+# Limits of the pressure of the lowest level, which is near the ground [Pa].
 _LOWEST_SURFACE_PA = 30_000.0
 _HIGHEST_SURFACE_PA = level_checks.HIGHEST_PA
 
-_MOST_FRACTION = 1.6  # relative humidities above this are percent
+_MOST_FRACTION = 1.6  # relative humidities above this are in percent
 _SPECIFIC = _HumidityLimits(-1e-3, 1e-6, 0.05)  # spectral models go below 0
 _RELATIVE = _HumidityLimits(-0.3, 0.05, _MOST_FRACTION)
 
-# What the temperature of two levels one above the other may differ by; ERA5 and columns of 22
-# soundings reach 2 K beyond the adiabat and 1 K beyond the inversion, above the ground.
-_OVERTURNS_K = 8.0  # cooler than by the dry adiabat
-_INVERSION_K = 25.0  # warmer, and so much more per metre
-_INVERSION_K_PER_M = 0.05  # inversions of 30 K within 200 m stand over ice plateaus in winter
+# Limits of the temperature of a level compared with that of the level below it; ERA5 and columns of
+# 22 soundings reach 2 K beyond the adiabat and 1 K of inversion, above the ground.
+_OVERTURNS_K = 8.0  # so much cooler than by the dry adiabat
+_INVERSION_K = 25.0  # so much warmer, and in addition per metre
+_INVERSION_K_PER_M = 0.05  # inversions of 30 K within 200 m exist over ice plateaus in winter
 
 _LOWEST_GROUND_M = -600.0
 _HIGHEST_GROUND_M = 9000.0
-_WEATHER_LOG_P = 0.045  # of sea-level pressure: 969 to 1060 hPa
-_SURFACE_LOG_P = 0.25  # of surface pressure from that by a scale height
+_WEATHER_LOG_P = 0.045  # largest departure of ln p at sea level from its mean: 969 to 1060 hPa
+_SURFACE_LOG_P = 0.25  # largest departure of ln p at the surface from that by the scale height
 _SEA_LEVEL_PA = 101_325.0
 _SCALE_HEIGHT_M = 8000.0
 _EARTH_KM = 6371.0
-_WIDEST_STEP = 0.2  # of nodes [rad]
-_ROUNDING = 1e-9  # of nodes [rad]
+_WIDEST_STEP = 0.2  # from one node to the next [rad]; a wider one is a hole
+_ROUNDING = 1e-9  # so far outside the nodes [rad] is inside
 _MISSING = partial(np.empty, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class ModelColumns:
-    """The air over n places, in arrays (n, l) from the top down, NaN where a field has no value.
+    """The air over n places on l levels from the top down: (n, l), NaN for a missing value."""
 
-    Heights are geopotential [m'], ``vapour`` is e/p, ``surface`` (n,) the model's ground.
-    """
-
-    height: Array
-    log_pressure: Array
+    height: Array  # geopotential [m']
+    log_pressure: Array  # ln of the pressure in Pa
     temperature_k: Array
-    vapour: Array
-    surface: Array
+    vapour: Array  # e/p
+    surface: Array  # (n,) geopotential height of the model's ground [m'], NaN if unknown
 
 
 @dataclass(frozen=True, eq=False)
 class _Corner:
-    """One of the eight nodes about places of (n,): which ``places`` it is used for, by weight."""
+    """One of the eight nodes about each of n places, in time, latitude and longitude."""
 
-    places: Mask
-    weight: Array
-    time: Rows
+    places: Mask  # (n,) True for the k places where the weight of this node is above 0
+    weight: Array  # (k,)
+    time: Rows  # (k,) index of the node in the fields
     latitude: Rows
     longitude: Rows
 
 
 @dataclass(frozen=True, eq=False)
 class ModelField:
-    """A model's fields as its file, ``name``, has them; times, nodes and levels are increasing.
+    """Fields of a weather model; times, nodes and levels are increasing.
 
-    ``time_ns`` (t,) [Unix ns]; ``lead_h`` (t,) hours since the forecast began, 0 of an analysis;
+    ``name`` is the file. ``time_ns`` (t,) [Unix ns]; ``lead_h`` (t,) hours since the forecast
+    began, 0 or empty for an analysis;
     ``level`` (l,) pressures [Pa], or numbers of ECMWF's model levels (``on_model_levels``).
     Fields (t, l, y, x): temperature, ``humidity`` specific [kg/kg], or ``relative`` [1], and
     ``height`` geopotential of pressure levels [m']. Of the ground (t, 1, y, x): ``surface`` its
@@ -128,9 +126,9 @@ class ModelField:
     ) -> ModelColumns:
         """The air over places (n,) at times (n,), interpolated between nodes and in time.
 
-        Linear in latitude, longitude and time, on each level; beyond the first and the last time
-        that time's. On model levels p = (p_upper + p_lower)/2 of the half levels and H by
-        `model_levels.level_heights`.
+        Linear in latitude, longitude and time, on each level; before the first and after the last
+        time the values of that time. On model levels p = (p_upper + p_lower)/2 of the half levels
+        and H by `model_levels.level_heights`.
         """
         corners = self._corners(latitude_rad, longitude_rad, time_ns)
         t = interpolate(self.temperature_k, corners)
@@ -152,7 +150,10 @@ class ModelField:
         return ModelColumns(height, np.log(p), t, vapour, surface)
 
     def half_levels(self, surface_pa: Array) -> Array:
-        """Pressures [Pa] (n, l + 1) of the half levels about the field's model levels."""
+        """Pressures [Pa] (n, l + 1) of the half levels about the field's model levels.
+
+        ``surface_pa``: surface pressures (n,) or (n, 1) [Pa].
+        """
         first = int(self.level[0]) - 1
         return model_levels.half_levels(surface_pa)[:, first:]
 
@@ -162,7 +163,7 @@ class ModelField:
         longitude_rad: Array,
         time_ns: Integers,
     ) -> list[_Corner]:
-        """The nodes and times about places (n,) and times (n,)."""
+        """The eight nodes about places (n,) at times (n,)."""
         mean_longitude = float(self.longitude_rad.mean())
         east = longitudes_near(longitude_rad, mean_longitude)
         first_ns = self.time_ns[0]
@@ -174,7 +175,7 @@ class ModelField:
         return corners_about(positions)
 
     def vapour(self, humidity: Array, temperature_k: Array, pressure_pa: Array) -> Array:
-        """e/p of the file's humidities, at least 0: spectral models go below."""
+        """e/p of humidities of the field's kind, at least 0: spectral models go below."""
         if self.relative:
             vapour = vapour_pressure(humidity, temperature_k, pressure_pa) / pressure_pa
         else:
@@ -182,7 +183,7 @@ class ModelField:
         return np.maximum(vapour, 0.0)
 
     def refuse_outside(self, latitude_rad: Array, longitude_rad: Array) -> None:
-        """Refuse (`InputError`) places (n,) outside the grid, or in a hole of it: how far."""
+        """Refuse (`InputError`) places (n,) if one is outside the grid or in a hole of it."""
         east = longitudes_near(longitude_rad, float(self.longitude_rad.mean()))
         away_north = _outside(self.latitude_rad, latitude_rad)
         away_east = _outside(self.longitude_rad, east) * np.cos(latitude_rad)
@@ -203,7 +204,7 @@ class ModelField:
 
 
 def position_among(nodes: Array | Integers, values: Array | Integers) -> Array:
-    """Where values (n,) lie among nodes, in numbers of nodes; beyond the ends at these.
+    """Fractional indices (n,) of values (n,) in rising nodes; beyond the ends that of the end.
 
     >>> position_among(np.array([10.0, 20.0, 40.0]), np.array([5.0, 15.0, 35.0])).tolist()
     [0.0, 0.5, 1.75]
@@ -212,7 +213,10 @@ def position_among(nodes: Array | Integers, values: Array | Integers) -> Array:
 
 
 def corners_about(positions: Sequence[Array]) -> list[_Corner]:
-    """The nodes about places by their positions (n,) in time, latitude and longitude."""
+    """The eight nodes about n places, with weights.
+
+    ``positions``: fractional indices (n,) in time, in latitude and in longitude.
+    """
     corners = []
     for uppers in product((False, True), repeat=3):
         weight = np.ones(positions[0].size)
@@ -233,7 +237,7 @@ def corners_about(positions: Sequence[Array]) -> list[_Corner]:
 
 
 def interpolate(values: Array, corners: Sequence[_Corner]) -> Array:
-    """(n, l) means of a field (t, l, y, x) by the corners about n places."""
+    """(n, l) weighted means of a field (t, l, y, x) over the corners about n places."""
     total = np.zeros((corners[0].places.size, values.shape[1]))
     for corner in corners:
         columns = values[corner.time, :, corner.latitude, corner.longitude]
@@ -242,7 +246,11 @@ def interpolate(values: Array, corners: Sequence[_Corner]) -> Array:
 
 
 def _outside(node: Array, x: Array) -> Array:
-    """(n,) distances from the nodes [rad]; inside them 0, but in a gap of 1.5 steps or 11°."""
+    """(n,) how far ``x`` (n,) are outside of the range of rising nodes [rad], 0 inside.
+
+    Inside a hole, a step between nodes of more than 1.5 usual steps or 0.2 rad, the distance to the
+    nearest node.
+    """
     away = np.maximum(np.maximum(node[0] - x, x - node[-1]), 0.0)
     if node.size > 1:
         upper = np.clip(np.searchsorted(node, x), 1, node.size - 1)
@@ -257,11 +265,11 @@ def _outside(node: Array, x: Array) -> Array:
 
 
 def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
-    """A field whose units are what its numbers can only be; repairs are noted.
+    """The field in the units of `ModelField`, which its numbers show, and messages about repairs.
 
-    Pressures in hPa or Pa, by the highest between 300 and 1100 hPa; geopotential [m2/s2] or metres
-    of it by the hydrostatic equation; relative humidity in percent or as a fraction. Refuses
-    (`InputError`) what is neither.
+    Pressures are in hPa or Pa: the highest is between 300 and 1100 hPa. Heights are geopotential
+    [m2/s2] or geopotential metres, by the hydrostatic equation. Relative humidity is in percent or
+    a fraction. Refuses (`InputError`) numbers that fit neither, and impossible air.
     """
     if not _has_values(field):
         raise messages.model_without_values(where=where)
@@ -275,16 +283,16 @@ def checked_field(field: ModelField, where: str) -> tuple[ModelField, Notes]:
         pressures = model_levels.level_pressures(half)
         shape = (*surface_pa.shape, pressures.shape[1])
         by_time_and_level = np.moveaxis(pressures.reshape(shape), -1, 1)
-        refuse_wrong_level(field, by_time_and_level, where)
+        _refuse_temperature_jumps(field, by_time_and_level, where)
         return field, ground_notes
     field, pressure_notes = _with_pascals(field, where)
     field = _with_geopotential_metres(field, where)
-    refuse_wrong_level(field, field.level[:, None, None], where)
+    _refuse_temperature_jumps(field, field.level[:, None, None], where)
     return field, pressure_notes
 
 
 def _has_values(field: ModelField) -> bool:
-    """Whether a field has air at one place at least, and heights where these are not computed."""
+    """Whether a field has air at one place at least, and on pressure levels a height too."""
     has_air = np.isfinite(field.temperature_k + field.humidity)
     if field.on_model_levels:
         return bool(has_air.any())
@@ -293,6 +301,7 @@ def _has_values(field: ModelField) -> bool:
 
 
 def _refuse_temperatures(field: ModelField, where: str) -> None:
+    """Refuse (`InputError`) temperatures outside 150 to 340 K."""
     coldest = float(np.nanmin(field.temperature_k))
     warmest = float(np.nanmax(field.temperature_k))
     if level_checks.COLDEST_K <= coldest <= warmest <= level_checks.WARMEST_K:
@@ -305,13 +314,14 @@ def _refuse_temperatures(field: ModelField, where: str) -> None:
 
 
 def _with_fraction(field: ModelField) -> ModelField:
-    """A field with relative humidity as a fraction."""
+    """The field with its relative humidity, if it has that, as a fraction."""
     if field.relative and np.nanmax(field.humidity) > _MOST_FRACTION:
         return replace(field, humidity=field.humidity / 100.0)
     return field
 
 
 def _refuse_humidities(field: ModelField, where: str) -> None:
+    """Refuse (`InputError`) humidities that can be neither kg/kg nor a fraction."""
     driest = float(np.nanmin(field.humidity))
     wettest = float(np.nanmax(field.humidity))
     kind = "relative" if field.relative else "specific"
@@ -327,7 +337,11 @@ def _refuse_humidities(field: ModelField, where: str) -> None:
 
 
 def _checked_ground(field: ModelField, where: str) -> tuple[ModelField, Notes]:
-    """A field whose ground, where it is known, is in metres and fits the surface pressure."""
+    """The field with its ground, if known, in geopotential metres, and messages about repairs.
+
+    Refuses (`InputError`) a ground that is higher or lower than any, and on model levels one that
+    contradicts the surface pressure.
+    """
     notes: Notes = ()
     if not bool(np.isfinite(field.surface).any()):
         return field, notes
@@ -368,9 +382,10 @@ def _with_likely_ground(field: ModelField, where: str) -> tuple[ModelField, Note
 
 
 def _sea_level_departure(field: ModelField, ground: Array) -> float:
-    """How far pressure reduced from a ground [m'] to sea level is from its mean, as a logarithm.
+    """Departure of ln of the median sea-level pressure from that of the standard atmosphere.
 
-    Infinite where no place has pressure, temperature and ground.
+    Surface pressure is reduced from a ``ground`` [m'] to sea level. Infinite if no place has
+    pressure, temperature and ground.
     """
     lowest_level_k = field.temperature_k[:, -1:]
     mean_k = lowest_level_k + 0.5 * EXTENSION_LAPSE * ground
@@ -381,7 +396,10 @@ def _sea_level_departure(field: ModelField, ground: Array) -> float:
 
 
 def _with_pascals(field: ModelField, where: str) -> tuple[ModelField, Notes]:
-    """A field whose pressures are in Pa: the highest is that of a level near the ground."""
+    """The field with pressures in Pa; the highest must be near the ground.
+
+    A message is returned if the pressures fit only after a conversion between hPa and Pa.
+    """
     highest = float(field.level[-1])
     if _is_near_ground(highest):
         return field, ()
@@ -393,11 +411,15 @@ def _with_pascals(field: ModelField, where: str) -> tuple[ModelField, Notes]:
 
 
 def _is_near_ground(pressure_pa: float) -> bool:
+    """Whether the lowest level of a model may have this pressure."""
     return _LOWEST_SURFACE_PA <= pressure_pa <= _HIGHEST_SURFACE_PA
 
 
 def _with_geopotential_metres(field: ModelField, where: str) -> ModelField:
-    """A field whose heights are in m', by the hydrostatic thickness of its first time."""
+    """The field with heights in m': if they are m2/s2, they are divided by g.
+
+    The thickness of its layers by the hydrostatic equation decides, at its first time.
+    """
     t = field.temperature_k[0]
     mean_k = 0.5 * (t[1:] + t[:-1])
     fall = np.diff(np.log(field.level))
@@ -411,10 +433,11 @@ def _with_geopotential_metres(field: ModelField, where: str) -> ModelField:
     return field
 
 
-def refuse_wrong_level(field: ModelField, pressure_pa: Array, where: str) -> None:
-    """Refuse (`InputError`) temperatures that no air has one above the other.
+def _refuse_temperature_jumps(field: ModelField, pressure_pa: Array, where: str) -> None:
+    """Refuse (`InputError`) temperatures that change from level to level as in no air.
 
-    It overturns where it cools by more than 9.8 K/km. ``pressure_pa`` (l, 1, 1) or (t, l, y, x).
+    Air overturns where it cools upwards by more than 9.8 K/km; inversions have limits too.
+    ``pressure_pa`` (l, 1, 1) or (t, l, y, x) of the levels [Pa].
     """
     t = field.temperature_k
     mean_k = 0.5 * (t[:, 1:] + t[:, :-1])
@@ -441,16 +464,19 @@ def refuse_wrong_level(field: ModelField, pressure_pa: Array, where: str) -> Non
 
 
 def _level_name(field: ModelField, number: int) -> str:
-    """A level in words: its number of ECMWF's, or its pressure."""
+    """Name of the level with the index ``number``, for messages: its model level or pressure."""
     if field.on_model_levels:
         return f"level {field.level[number]:.0f}"
     return f"{field.level[number] / HECTOPASCAL:g} hPa"
 
 
 def too_few_levels(pressure_pa: Array, where: str, which: str) -> InputError:
-    """The refusal of levels that make no profile."""
-    lowest_first = np.sort(pressure_pa)[:8]
-    hectopascals = [f"{pressure / HECTOPASCAL:.4g}" for pressure in lowest_first]
+    """The error about levels that are too few for a profile, or do not rise.
+
+    ``which`` follows "5 levels" in the message, as "above the ground".
+    """
+    lowest_pressures = np.sort(pressure_pa)[:8]
+    hectopascals = [f"{pressure / HECTOPASCAL:.4g}" for pressure in lowest_pressures]
     return messages.model_levels(
         where=where,
         total=pressure_pa.size,

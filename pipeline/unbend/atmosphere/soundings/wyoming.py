@@ -25,7 +25,7 @@ from unbend.atmosphere.soundings.levels import (
 )
 from unbend.units import NANOSECONDS_PER_SECOND
 
-_WIDTH = 7
+_WIDTH = 7  # of a column of the list [characters]
 _TITLES = re.compile(r"^\s*PRES\s+HGHT\s+TEMP\s+DWPT", re.MULTILINE)
 _INLINE = re.compile(r"PRES\s+hPa,\s*HGHT\s+m,\s*TEMP\s+C,\s*DWPT\s+C")
 _TAG = re.compile(r"<[^<>]+>")
@@ -38,11 +38,13 @@ _DATE = re.compile(
 )
 _OBSERVED = re.compile(r"Observation time:\s*(?P<stamp>\S+)")
 _HEADING = re.compile(r"^.*\bObservations (?:for|at)\b.*$", re.MULTILINE | re.IGNORECASE)
-# What else looks like a date: 2015-03-12, 20150312, 12 March 2015, March 12, 2015.
+# Dates in other forms than that of a heading: 2015-03-12, 20150312, 12 March 2015, March 12, 2015.
 _LIKE_DATE = re.compile(
     r"(?<!\d)(?:19|20)\d\d([-/.]?)[01]\d\1[0-3]\d|[A-Z][a-z]{2,8}\.?,? (?:\d\d?, )?(?:19|20)\d\d\b"
 )
-FARTHEST_FROM_HEADING_H = 3.0  # of a time of observation: a balloon is released an hour before
+# Largest difference of the time of observation from the nominal time in the heading: a balloon is
+# released about an hour before it.
+FARTHEST_FROM_HEADING_H = 3.0
 _STATION = re.compile(r"\bStation (?:identifier|number):\s*(\S+)")
 _STATION_OF_HEADING = re.compile(
     r"\bStation (\w+) at\b|^(\w+) .*\bObservations at\b", re.MULTILINE | re.IGNORECASE
@@ -58,7 +60,7 @@ _CSV_COLUMNS = {
 
 
 def is_wyoming_list(text: str) -> bool:
-    """Whether a text is a Wyoming list: PRES HGHT TEMP DWPT above columns."""
+    """Whether a text has the titles of a Wyoming list: PRES HGHT TEMP DWPT."""
     has_titles = _TITLES.search(text) is not None
     has_titles_in_one_line = _INLINE.search(text) is not None
     return has_titles or has_titles_in_one_line
@@ -71,13 +73,17 @@ def is_wyoming_csv(text: str) -> bool:
 
 
 def parse_wyoming_list(text: str, where: str) -> list[RawLevels]:
-    """The ascents of a text list, with or without the page around it."""
+    """The ascents of a Wyoming list, with or without the web page around it."""
     plain = _TAG.sub("", text)
     return [_ascent_of_list(part, where) for part in _parts_of_list(plain)]
 
 
 def _parts_of_list(plain: str) -> list[str]:
-    """The text of each ascent of a page: from its heading, or its titles, to the next one's."""
+    """The text of each ascent of a page without tags.
+
+    A part begins at the last heading before the titles of its columns, or at these titles if there
+    is no heading; the first part begins with the page.
+    """
     titles = [match.start() for match in _TITLES.finditer(plain)]
     headings = [match.start() for match in _HEADING.finditer(plain)]
     begins = [0]
@@ -88,7 +94,7 @@ def _parts_of_list(plain: str) -> list[str]:
 
 
 def _ascent_of_list(plain: str, where: str) -> RawLevels:
-    """The only ascent of a part of a page."""
+    """The ascent in a part of a page, from `_parts_of_list`."""
     titles = _TITLES.search(plain)
     rows = _rows_of_page(plain) if titles is None else _rows_of_list(plain[titles.start() :])
     columns = []
@@ -98,7 +104,7 @@ def _ascent_of_list(plain: str, where: str) -> RawLevels:
             is_there = len(row) > column
             fields.append(row[column] if is_there else "")
         columns.append(numbers(fields))
-    if titles is None:  # the fifth column of a page without its titles is another
+    if titles is None:  # with titles in one line, the fifth column is not relative humidity
         columns[4] = np.full(len(rows), np.nan)
     place = stated_place(_labelled(plain, "latitude"), _labelled(plain, "longitude"), where)
     return RawLevels(
@@ -118,13 +124,16 @@ def _ascent_of_list(plain: str, where: str) -> RawLevels:
 
 
 def _rows_of_page(plain: str) -> list[list[str]]:
-    """The levels of a page that gives its titles in one line: fields parted by blanks."""
+    """Fields of the levels of a page with its titles in one line; blanks separate fields."""
     rows = [line.split() for line in plain.splitlines() if not line.startswith("#")]
     return [row for row in rows if len(row) >= 4]
 
 
 def _rows_of_list(plain: str) -> list[list[str]]:
-    """Fields of the lines between the second rule and the first line that is no level."""
+    """The first five fields of each level below the titles, with which ``plain`` begins.
+
+    A level is a line with a number in its first field. The first other line below levels ends them.
+    """
     rows: list[list[str]] = []
     for line in plain.splitlines()[1:]:
         fields = [line[i : i + _WIDTH] for i in range(0, 5 * _WIDTH, _WIDTH)]
@@ -136,7 +145,10 @@ def _rows_of_list(plain: str) -> list[list[str]]:
 
 
 def _labelled(plain: str, name: str) -> str:
-    """The first field behind ``Station latitude:`` or ``Latitude =``; empty without one."""
+    """The first word behind a label such as ``Station latitude:`` or ``Lat =``; "" without one.
+
+    ``name`` is latitude or longitude; its first three letters are enough.
+    """
     match = re.search(
         rf"\b{name[:3]}(?:{name[3:]})?\s*[:=]\s*(\S+?),?(?:\s|$)", plain, re.IGNORECASE
     )
@@ -144,7 +156,7 @@ def _labelled(plain: str, name: str) -> str:
 
 
 def _station_of_list(plain: str) -> str:
-    """The station by its own line, else by the heading; empty without one."""
+    """The station by the line ``Station number:``, else by the heading; "" without both."""
     match = _STATION.search(plain)
     if match is not None:
         return match[1]
@@ -155,15 +167,17 @@ def _station_of_list(plain: str) -> str:
 
 
 def _time_of_list(plain: str, where: str) -> int | None:
-    """The time of an ascent, by ``Observation time: 110522/1200`` or by its heading.
+    """The time of an ascent [Unix ns], by ``Observation time: 110522/1200``, else by its heading.
 
-    None where it states neither; refuses (InputError SOUNDING-TIME) one that cannot be read, and
+    None where there is neither. Refuses (InputError SOUNDING-TIME) a time that cannot be read, and
     two that contradict each other.
     """
     observed_ns = _observed_ns(plain, where)
     heading_ns = _heading_ns(plain, where, is_needed=observed_ns is None)
-    if observed_ns is None or heading_ns is None:
-        return heading_ns if observed_ns is None else observed_ns
+    if observed_ns is None:
+        return heading_ns
+    if heading_ns is None:
+        return observed_ns
     apart_ns = abs(observed_ns - heading_ns)
     hours = apart_ns / NANOSECONDS_PER_SECOND / 3600.0
     if hours > FARTHEST_FROM_HEADING_H:
@@ -172,7 +186,7 @@ def _time_of_list(plain: str, where: str) -> int | None:
 
 
 def _observed_ns(plain: str, where: str) -> int | None:
-    """The time behind ``Observation time:``, None without one."""
+    """The time behind ``Observation time:`` [Unix ns]; None without one."""
     observed = _OBSERVED.search(plain)
     if observed is None:
         return None
@@ -186,9 +200,10 @@ def _observed_ns(plain: str, where: str) -> int | None:
 
 
 def _heading_ns(plain: str, where: str, *, is_needed: bool) -> int | None:
-    """The nominal time in the heading of an ascent, None without one.
+    """The nominal time in the heading of an ascent [Unix ns]; None without one.
 
-    Where it is needed, what looks like a heading or a date and cannot be read is refused.
+    With ``is_needed`` (there is no other time) a heading or a date that cannot be read is refused
+    (InputError SOUNDING-TIME).
     """
     titles = _TITLES.search(plain)
     head = plain if titles is None else plain[: titles.start()]
@@ -201,7 +216,7 @@ def _heading_ns(plain: str, where: str, *, is_needed: bool) -> int | None:
         minute = match["minute"] or "00"
         return stated_time_ns(f"{date}T{match['hour']}:{minute}", where)
     unread = _HEADING.search(head)
-    if unread is None and titles is not None:
+    if unread is None and titles is not None:  # else ``head`` includes the levels
         unread = _LIKE_DATE.search(head)
     if unread is not None and is_needed:
         raise messages.sounding_time(where=where, time=unread[0].strip())
@@ -209,7 +224,7 @@ def _heading_ns(plain: str, where: str, *, is_needed: bool) -> int | None:
 
 
 def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
-    """The ascents of a Wyoming CSV; the time of each is that of its first level."""
+    """The ascents of a Wyoming CSV. The time of each is the first that one of its levels has."""
     columns = table(text.splitlines(), where)
     missing = [name for name in _CSV_COLUMNS.values() if name not in columns]
     if missing:
@@ -220,7 +235,7 @@ def parse_wyoming_csv(text: str, where: str) -> list[RawLevels]:
 
 
 def _ascent_of_wyoming_csv(columns: Columns, where: str) -> RawLevels:
-    """The only ascent of some rows of a Wyoming CSV."""
+    """The ascent in columns of a Wyoming CSV; refuses (InputError) rows of several ascents."""
     values = {}
     for quantity, name in _CSV_COLUMNS.items():
         values[quantity] = numbers(columns[name])

@@ -38,7 +38,7 @@ BROWN, which COLMAP does not have, is the last and has all parameters.
 
 
 def distort(u: Any, v: Any, parameters: BrownConrady) -> tuple[Any, Any]:
-    """Distorted image coordinates of ideal ones.
+    """Distorted image coordinates of ideal ones, both in units of the principal distance.
 
     >>> [round(c, 9) for c in distort(0.5, 0.0, BrownConrady(k1=-0.1, p2=0.001))]
     [0.48825, 0.0]
@@ -64,15 +64,17 @@ def slopes(u: Any, v: Any, parameters: BrownConrady) -> tuple[Any, Any, Any]:
     p2 = parameters.p2
     r2 = u * u + v * v
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
-    uu = radial + u * u * slope + 2.0 * p1 * v + 6.0 * p2 * u
-    uv = u * v * slope + 2.0 * p1 * u + 2.0 * p2 * v
-    vv = radial + v * v * slope + 6.0 * p1 * v + 2.0 * p2 * u
+    twice_slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))  # 2 d(radial)/d(r^2)
+    uu = radial + u * u * twice_slope + 2.0 * p1 * v + 6.0 * p2 * u
+    uv = u * v * twice_slope + 2.0 * p1 * u + 2.0 * p2 * v
+    vv = radial + v * v * twice_slope + 6.0 * p1 * v + 2.0 * p2 * u
     return uu, uv, vv
 
 
 def largest_radius(parameters: BrownConrady) -> float:
     """Ideal radius (tan of the field angle) up to which the distortion can be inverted.
+
+    Where the radial distortion turns back; infinite where it never does.
 
     >>> round(largest_radius(BrownConrady(k1=-1.0 / 3.0)), 9)  # d(r - r^3 / 3)/dr = 0
     1.0
@@ -90,10 +92,12 @@ def first_root(coefficients: Any) -> float:
     >>> first_root([1.0, -0.25])
     2.0
     """
-    # Roots in 1/r^2: so nothing is divided by a coefficient that may be tiny.
+    # `np.roots` takes the highest power first. With the lowest first the roots are 1/r^2, and no
+    # coefficient is divided by that of the highest power, which may be tiny.
     inverse_squares = np.roots(np.asarray(getattr(coefficients, "coef", coefficients)))
     is_real = np.abs(inverse_squares.imag) < 1e-9 * np.abs(inverse_squares.real)
-    positive = inverse_squares.real[is_real & (inverse_squares.real > 1e-12)]
+    is_finite_radius = inverse_squares.real > 1e-12  # r below a million
+    positive = inverse_squares.real[is_real & is_finite_radius]
     if positive.size == 0:
         return np.inf
     return float(1.0 / np.sqrt(positive.max()))

@@ -19,14 +19,14 @@ from unbend.units import Array, Mask
 NO_DISTORTION = BrownConrady()
 
 LARGEST_CHANGE = 0.01
-"""Part of the principal distance that no air can change: 30 times the 310 ppm of Meier."""
+"""Share of the principal distance that the air never changes: 30 times the 310 ppm of Meier."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Interior orientation of a frame camera.
+    """Interior orientation of a frame or fisheye camera.
 
-    The type of ``distortion``, the parameters of a lens, names one of `DISTORTION_MODELS`.
+    ``distortion`` are the parameters of one of `DISTORTION_MODELS`; their type gives the model.
     """
 
     width_px: int  # format of the image
@@ -39,7 +39,7 @@ class Camera:
 
     @property
     def constants(self) -> CameraConstants:
-        """The camera for compiled functions."""
+        """The camera as a tuple of floats for compiled functions."""
         parameters = [float(number) for number in self.distortion]
         return CameraConstants(
             width=float(self.width_px),
@@ -63,11 +63,11 @@ class Camera:
         return u_d, v_d
 
     def rays(self, x_px: Array, y_px: Array) -> tuple[Array, Array, Mask]:
-        """Ideal image coordinates u, v (n,) of pixels (n,), and whether the camera covers them.
+        """Ideal image coordinates u, v (n,) of pixels (n,), and a mask (n,) of covered pixels.
 
         The ray of a pixel is (u, v, 1) in the frame of the camera. A pixel outside the format, or
-        beyond the radius to which the distortion can be inverted, is not covered and returns NaN.
-        Newton's iteration, 1e-14 in u and v.
+        beyond the radius to which the distortion can be inverted, is not covered: u and v are NaN.
+        By Newton's iteration, to 1e-14 in u and v.
 
         >>> camera = Camera(1000, 800, 900.0, 900.0, 500.0, 400.0, BrownConrady(k1=-0.1))
         >>> u, v, covered = camera.rays(np.array([500.0, 950.0]), np.array([400.0, 400.0]))
@@ -83,14 +83,14 @@ class Camera:
         return rays[IDEAL_U], rays[IDEAL_V], np.isfinite(rays[IDEAL_U])
 
     def project(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Pixels of ideal image coordinates, both (n,)."""
+        """Pixels x, y (n,) of ideal image coordinates u, v (n,); without a check of the format."""
         u_d, v_d = self.distort(u, v)
         return self.fx_px * u_d + self.cx_px, self.fy_px * v_d + self.cy_px
 
 
 @dataclass(frozen=True)
 class LensInAir:
-    """How a calibrated principal distance follows the air between the lenses.
+    """A lens with measured derivatives of its principal distance by the air between the elements.
 
     ``principal_distance_px`` was calibrated at ``reference_pressure_pa`` and
     ``reference_temperature_k``; ``px_per_pa`` and ``px_per_k`` are its derivatives.
@@ -104,7 +104,7 @@ class LensInAir:
 
 
 def principal_change(lens: LensInAir, pressure_pa: ArrayLike, temperature_k: ArrayLike) -> Array:
-    """What the air in a lens adds to its calibrated principal distance [px].
+    """Change [px] of a calibrated principal distance by the air in the lens.
 
     ``pressure_pa``, ``temperature_k`` of the air in the lens broadcast; NaN gives NaN.
     Linear: dc = dc/dp (p - p_ref) + dc/dT (T - T_ref). As good as the derivatives, which have to be
@@ -116,12 +116,15 @@ def principal_change(lens: LensInAir, pressure_pa: ArrayLike, temperature_k: Arr
     >>> principal_change(lens, [101325.0, 47181.0], [293.15, 249.19]).round(3).tolist()
     [0.0, -4.724]
     """
-    fall = np.asarray(pressure_pa, np.float64) - lens.reference_pressure_pa
-    warming = np.asarray(temperature_k, np.float64) - lens.reference_temperature_k
-    return np.asarray(lens.px_per_pa * fall + lens.px_per_k * warming)
+    rise_pa = np.asarray(pressure_pa, np.float64) - lens.reference_pressure_pa
+    warming_k = np.asarray(temperature_k, np.float64) - lens.reference_temperature_k
+    return np.asarray(lens.px_per_pa * rise_pa + lens.px_per_k * warming_k)
 
 
-def is_absurd(lens: LensInAir, change_px: ArrayLike) -> Mask:
-    """Where a change of the principal distance [px] is more than any air can cause."""
+def is_impossible_change(lens: LensInAir, change_px: ArrayLike) -> Mask:
+    """Whether changes of the principal distance [px] are larger than any air causes.
+
+    The limit is `LARGEST_CHANGE`. NaN is not larger.
+    """
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(change_px) > LARGEST_CHANGE * lens.principal_distance_px)

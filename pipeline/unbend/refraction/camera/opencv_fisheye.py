@@ -15,7 +15,7 @@ import numpy as np
 
 from unbend.refraction.camera.brown_conrady import first_root
 
-# Added to r^2: the quotients below are then exact on the axis too.
+# Added to r^2, so that theta_d / r is 1 on the axis and not 0 / 0.
 _TINY = 1e-300
 
 LARGEST_ANGLE_RAD = np.radians(89.5)
@@ -45,7 +45,7 @@ MODELS = {
 
 
 def distort(u: Any, v: Any, parameters: OpenCVFisheye) -> tuple[Any, Any]:
-    """Image coordinates behind the lens of ideal ones.
+    """Distorted image coordinates of ideal ones, both in units of the principal distance.
 
     >>> [round(float(c), 9) for c in distort(1.0, 0.0, OpenCVFisheye())]  # 45 degrees
     [0.785398163, 0.0]
@@ -69,16 +69,18 @@ def slopes(u: Any, v: Any, parameters: OpenCVFisheye) -> tuple[Any, Any, Any]:
     theta_d = theta * (1.0 + t2 * (p.k1 + t2 * (p.k2 + t2 * (p.k3 + t2 * p.k4))))
     quotient = theta_d / r
     inner = t2 * (5.0 * p.k2 + t2 * (7.0 * p.k3 + t2 * 9.0 * p.k4))
-    by_theta = 1.0 + t2 * (3.0 * p.k1 + inner)  # d(theta_d)/d(theta)
-    by_r2 = (by_theta / (1.0 + r2) - quotient) / r2  # 2 d(quotient)/d(r^2)
-    uu = quotient + u * u * by_r2
-    uv = u * v * by_r2
-    vv = quotient + v * v * by_r2
+    theta_d_slope = 1.0 + t2 * (3.0 * p.k1 + inner)  # d(theta_d)/d(theta)
+    twice_slope = (theta_d_slope / (1.0 + r2) - quotient) / r2  # 2 d(quotient)/d(r^2)
+    uu = quotient + u * u * twice_slope
+    uv = u * v * twice_slope
+    vv = quotient + v * v * twice_slope
     return uu, uv, vv
 
 
 def largest_radius(parameters: OpenCVFisheye) -> float:
-    """Ideal radius (tan of the field angle) up to which the lens can be inverted.
+    """Ideal radius (tan of the field angle) up to which the distortion can be inverted.
+
+    Up to where theta_d turns back, at most to 89.5 degrees.
 
     >>> round(float(np.degrees(np.arctan(largest_radius(OpenCVFisheye())))), 6)
     89.5
