@@ -167,7 +167,7 @@ class McapReader:
         except (McapError, *_PARSE_ERRORS) as error:
             self.damage.add(
                 messages.definition_unreadable(
-                    where=self.damage.at(definition.at),
+                    where=self.damage.place_in_words(definition.place),
                     count=len(definition.content),
                     opcode=definition.opcode,
                     reason=str(error),

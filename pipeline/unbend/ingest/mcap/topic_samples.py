@@ -23,7 +23,7 @@ from unbend.ingest.field_maps import (
     message_maps,
 )
 from unbend.ingest.mcap import messages
-from unbend.ingest.mcap.ros2_definitions import short
+from unbend.ingest.mcap.ros2_definitions import short_name
 from unbend.ingest.mcap.stamps import (
     LOG_TIME,
     SEQUENCE,
@@ -77,7 +77,7 @@ def known_name(schema: str) -> str:
     >>> known_name("sensor_msgs::msg::NavSatFix"), known_name("foxglove_msgs/msg/RawImage")
     ('sensor_msgs/NavSatFix', 'foxglove.RawImage')
     """
-    return short(schema.replace("::", "/")).replace("foxglove_msgs/", "foxglove.")
+    return short_name(schema.replace("::", "/")).replace("foxglove_msgs/", "foxglove.")
 
 
 def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
