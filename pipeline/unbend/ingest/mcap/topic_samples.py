@@ -268,7 +268,7 @@ class TopicSamples:
 def _sorted_by_sequence(
     rows: DecodedRows, sequence: NDArray[np.uint32], ledger: Ledger
 ) -> DecodedRows:
-    """The rows sorted by their sequence numbers if `order_by_sequence` allows it; this is reported."""
+    """The rows in the order of `order_by_sequence`, which is reported; else as they are."""
     order = order_by_sequence(sequence, rows.time_ns)
     if order is None:
         return rows
