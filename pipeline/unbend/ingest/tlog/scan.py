@@ -241,7 +241,7 @@ class Scan(DamagedBytes):
         return self._rejected_at(places, int(frames.place[-1]))
 
     def _rejected_at(self, places: list[int], stop: int) -> Frames:
-        """Read the frames at these places, which end before ``stop``, and count them as rejected."""
+        """Read the frames at these places, all before ``stop``, and count them as rejected."""
         begin = places[0]
         window = self._data.array(begin, stop)
         offsets = np.array(places, np.int64) - begin
