@@ -14,7 +14,7 @@ from timing import Rates, seconds
 
 from unbend.ingest import open_log
 from unbend.ingest.mcap.mcap_log import MCAP
-from unbend.ingest.mcap.topic_samples import SCHEMAS, known_name
+from unbend.ingest.mcap.topic_samples import SCHEMAS, message_name
 from unbend.messages import Ledger
 
 STAMP = struct.Struct("<iI")  # header.stamp, behind four bytes of encapsulation
@@ -51,7 +51,7 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
                         number,
                     )
                 data = message.data
-                if known_name(schema.name) in SCHEMAS:
+                if message_name(schema.name) in SCHEMAS:
                     sec, nanosec = STAMP.unpack_from(data, 4)
                     data = data[:4] + STAMP.pack(sec + later_s, nanosec) + data[12:]
                 time_ns = message.log_time + later_s * SECOND

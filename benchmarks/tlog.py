@@ -24,7 +24,7 @@ from unbend.ingest.tlog.frames import (
     checksums,
     checksums_hold,
     frame_length,
-    headers,
+    frames_at,
 )
 from unbend.ingest.tlog.scan import Scan
 
@@ -59,7 +59,7 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
 
 def _frames(source: np.ndarray) -> Frames:
     room = source.shape[0] - HEAD
-    frames = headers(source, candidates(source, room), room)
+    frames = frames_at(source, candidates(source, room), room)
     return frames.take(checksums_hold(source, frames, crc_extras()))
 
 
@@ -80,7 +80,7 @@ def _with_whole_clocks(source: np.ndarray) -> np.ndarray:
     out += data[done:]
     whole = np.frombuffer(out, np.uint8)
     places = np.array(_places(bytes(out)))
-    _sign(whole, headers(whole, places, len(whole) - HEAD))
+    _sign(whole, frames_at(whole, places, len(whole) - HEAD))
     return whole
 
 

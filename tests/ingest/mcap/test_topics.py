@@ -15,7 +15,7 @@ from unbend.ingest import open_log
 from unbend.ingest.mcap.cdr import decode_plan
 from unbend.ingest.mcap.message_batches import BATCH_BYTES
 from unbend.ingest.mcap.ros2_definitions import KINDS, steps_of
-from unbend.ingest.mcap.stamps import in_sequence
+from unbend.ingest.mcap.stamps import order_by_sequence
 
 SECOND = 10**9
 START = 1_763_073_169 * SECOND
@@ -352,7 +352,7 @@ def test_a_recorder_that_counts_anew_hides_no_gap(opened):
 
 
 def order_of(numbers, times):
-    return in_sequence(
+    return order_by_sequence(
         np.array(numbers.split(), np.uint32),
         np.array(times.split(), np.int64),
     )

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.helpers import with_code
 from tests.ingest.written_logs import MavlinkWriter, entry_in
 from unbend.ingest.tlog.clock_samples import Sampler
-from unbend.ingest.tlog.sender_clocks import NEAR_NS, WRAP_OF_US_NS, unrolled
+from unbend.ingest.tlog.sender_clocks import MAX_MISFIT_NS, WRAP_OF_US_NS, unrolled
 
 SECOND = 10**9
 SECOND_US = 10**6
@@ -310,7 +310,7 @@ def test_a_wrapped_stamp_is_completed_near_the_senders_clock(turns, ahead_s):
 
 def test_a_stamp_far_from_the_senders_clock_is_left():
     clock_ns = np.array([WRAP_OF_US_NS + 100 * SECOND])
-    stamp_ns = np.array([100 * SECOND + NEAR_NS + 1])
+    stamp_ns = np.array([100 * SECOND + MAX_MISFIT_NS + 1])
     assert unrolled(stamp_ns, clock_ns, WRAP_OF_US_NS).tolist() == stamp_ns.tolist()
 
 

@@ -204,6 +204,6 @@ def test_flags_and_places_of_appended_data():
 def test_a_time_that_is_an_array_is_none():
     timeless = definition("a", "uint64_t[1] timestamp;float x;")
     ours = read(HEADER + timeless + SUBSCRIBED + 4 * ROW)
-    assert ours.timeless == {"a"}
+    assert ours.without_timestamp == {"a"}
     assert ours.counts == {"a": 4}
     assert ours.rows == {}

@@ -1,8 +1,9 @@
 """CDR, the encoding of ROS 2 messages: all messages of a topic decoded at once, step by step.
 
-Each message has a cursor, the place of its next field. A step reads one field, or a run of numbers,
-at the cursors of all messages and moves the cursors on. Numbers are aligned to their size. So the
-layout of a run depends on where it begins modulo 8, and texts before it shift that.
+Each message has a cursor, the place of its next field. A step reads one field, or a run of numbers
+that follow each other, at the cursors of all messages and moves the cursors on. Numbers are aligned
+to their size. So the layout of a run depends on where it begins modulo 8, and texts before it shift
+that.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from unbend.ingest.mcap.ros2_definitions import (
 from unbend.ingest.message_tables import text_column
 from unbend.units import Integers, Mask, Rows
 
-HEAD = 4  # bytes of encapsulation; alignment counts from behind them
+ENCAPSULATION = 4  # [bytes] before the first field; alignment counts from behind them
 CDR_LE = 1  # plain CDR, little-endian; 0 is big-endian, larger are other encodings
 ALIGN = 8  # [bytes] of the largest number
-COUNT = 4  # [bytes] of a length
+LENGTH_SIZE = 4  # [bytes] of the length of a text or sequence
 
 NumberRun = tuple[NumberField, ...]
 PlanStep = NumberRun | TextField | SequenceField
@@ -38,24 +39,27 @@ PlanStep = NumberRun | TextField | SequenceField
 
 @dataclass
 class StepBudget:
-    """How many texts and elements of sequences may still be passed one by one, of all messages.
+    """How many texts and elements of sequences may still be read one by one.
 
-    Each takes some 50 us for any number of messages, however few bytes it has. ``dropped``: how
-    many messages were not decoded because none were left.
+    Each is read in all messages of a batch at once, and takes some 50 us, however few messages and
+    bytes these are. ``dropped``: how many messages were not decoded because no step was left.
     """
 
-    left: int = 20_000  # 1 s; usual are tens for each 4 MiB of messages
+    steps_left: int = 20_000  # 1 s; usual are tens for each 4 MiB of messages
     dropped: int = 0
 
     @classmethod
     def of_file(cls, size: int) -> StepBudget:
-        """The budget of a file: more for a larger one, 0.8 s a MB."""
-        return cls(cls.left + size // 64)
+        """The budget of a file of ``size`` bytes: more for a larger one, 0.8 s a MB."""
+        return cls(cls.steps_left + size // 64)
 
     def spend(self, rows: int) -> bool:
-        """Take a step of so many messages; False where none is left."""
-        if self.left > 0:
-            self.left -= 1
+        """Take one step from the budget, which is read in ``rows`` messages at once.
+
+        False if no step is left; the messages then count as dropped.
+        """
+        if self.steps_left > 0:
+            self.steps_left -= 1
             return True
         self.dropped += rows
         return False
@@ -82,11 +86,11 @@ def decode_plan(
     steps: Sequence[MessageField],
     wanted: frozenset[str] | None = None,
 ) -> DecodePlan:
-    """The steps to decode the wanted columns of messages with these fields.
+    """The plan to decode the wanted columns of messages with these fields.
 
-    ``wanted``: paths, also of single elements of an array, as ``q.0``. None stands for all numbers
-    and texts outside of sequences, with arrays as arrays, and for the number of elements of each
-    sequence (``path[]``; -1 where the message ends before it).
+    ``wanted``: paths, also of single elements of an array, as ``q.0``. None means all numbers and
+    texts outside of sequences, with arrays as arrays, and the number of elements of each sequence
+    (``path[]``; -1 where the message ends before it).
     """
     message_fields: list[MessageField] = []
     for step in steps:
@@ -97,7 +101,7 @@ def decode_plan(
     for number, part in enumerate(message_fields):
         if part.path in chosen_paths:
             end = number + 1
-    plan_steps = tuple(_runs(message_fields[:end]))
+    plan_steps = tuple(_plan_steps(message_fields[:end]))
     if wanted is not None:
         return DecodePlan(plan_steps, chosen_paths)
     trailing = tuple(part for part in message_fields[end:] if isinstance(part, SequenceField))
@@ -105,9 +109,10 @@ def decode_plan(
 
 
 def _split_array(step: MessageField, wanted: frozenset[str] | None) -> list[MessageField]:
-    """A field as it is, or an array as its wanted elements and the pieces between those.
+    """Split an array of numbers into its wanted elements and the pieces between these.
 
-    An array is split only where single elements of it are wanted, and not the whole.
+    Any other field is returned as it is, and so is an array that is wanted as a whole, or with no
+    wanted elements.
     """
     if wanted is None or step.path in wanted:
         return [step]
@@ -118,18 +123,19 @@ def _split_array(step: MessageField, wanted: frozenset[str] | None) -> list[Mess
         return [step]
     parts: list[MessageField] = []
     end = 0
-    for k in elements:
-        if k > end:
-            parts.append(NumberField(f"{step.path}.{end}:{k}", step.kind, k - end, array=True))
-        parts.append(NumberField(f"{step.path}.{k}", step.kind))
-        end = k + 1
+    for index in elements:
+        if index > end:
+            piece = f"{step.path}.{end}:{index}"
+            parts.append(NumberField(piece, step.kind, index - end, array=True))
+        parts.append(NumberField(f"{step.path}.{index}", step.kind))
+        end = index + 1
     if end < step.count:
         parts.append(NumberField(f"{step.path}.{end}:", step.kind, step.count - end, array=True))
     return parts
 
 
 def _wanted_elements(step: NumberField, wanted: frozenset[str]) -> list[int]:
-    """The numbers of the wanted elements of an array, from 0, rising."""
+    """The indices of the wanted elements of an array, rising; each has the path ``array.index``."""
     prefix = f"{step.path}."
     elements = []
     for path in wanted:
@@ -139,8 +145,8 @@ def _wanted_elements(step: NumberField, wanted: frozenset[str]) -> list[int]:
     return sorted(elements)
 
 
-def _runs(steps: Sequence[MessageField]) -> list[PlanStep]:
-    """The steps of a plan: neighbouring numbers are one step, texts and sequences a step each."""
+def _plan_steps(steps: Sequence[MessageField]) -> list[PlanStep]:
+    """The steps of a plan: neighbouring numbers are one step, each text and sequence is a step."""
     plan_steps: list[PlanStep] = []
     for _, group in groupby(steps, lambda step: isinstance(step, NumberField)):
         neighbours = list(group)
@@ -152,49 +158,49 @@ def _runs(steps: Sequence[MessageField]) -> list[PlanStep]:
     return plan_steps
 
 
-def _aligned(at: Integers, size: int) -> Integers:
-    """The next multiples of ``size``."""
-    return np.asarray(-(-at // size) * size, np.int64)
+def _aligned(offsets: Integers, size: int) -> Integers:
+    """Offsets rounded up to multiples of ``size``."""
+    return np.asarray(-(-offsets // size) * size, np.int64)
 
 
 @dataclass
 class _Cursors:
-    """The messages that are still read: places, cursors and what was read so far.
+    """The messages that are still read, (n,): places, cursors and what was read so far.
 
     data : bytes with all messages.
-    row : which of the messages at the beginning each one is.
+    row : the row of each message among those handed to `decode`.
     begin, length : where each begins in ``data``, and its bytes, without the encapsulation.
-    big : whether each is big-endian.
-    at : the cursor of each, from its ``begin`` on.
+    is_big_endian : of each.
+    offset : the cursor of each: bytes from its ``begin`` to its next field.
     budget : of steps that are taken one by one.
-    columns : the values that were read, a row for each.
+    columns : the values that were read, a row for each message.
     """
 
     data: Bytes
     row: Rows
     begin: Integers
     length: Integers
-    big: Mask
-    at: Integers
+    is_big_endian: Mask
+    offset: Integers
     budget: StepBudget = field(default_factory=StepBudget)
     columns: dict[str, NDArray[Any]] = field(default_factory=dict)
 
-    def only(self, good: Mask) -> None:
-        """Drop all messages but the good ones, and what was read of the dropped ones."""
+    def keep_only(self, good: Mask) -> None:
+        """Drop all messages but the good ones, in place, with their rows of the columns."""
         if bool(good.all()):
             return
         self.row = self.row[good]
         self.begin = self.begin[good]
         self.length = self.length[good]
-        self.big = self.big[good]
-        self.at = self.at[good]
+        self.is_big_endian = self.is_big_endian[good]
+        self.offset = self.offset[good]
         self.columns = {name: column[good] for name, column in self.columns.items()}
 
     def independent(self) -> _Cursors:
-        """Cursors at the same places; moving them does not move these.
+        """New cursors at the same places, which move and lose messages without these.
 
-        No columns yet; the budget is shared. Their ``row`` numbers the messages from 0 on, in the
-        order that these have here.
+        They share the budget, and have no columns yet. Their ``row`` is the row of each message
+        among these.
         """
         rows = np.arange(self.row.shape[0])
         return _Cursors(
@@ -202,33 +208,33 @@ class _Cursors:
             row=rows,
             begin=self.begin,
             length=self.length,
-            big=self.big,
-            at=self.at,
+            is_big_endian=self.is_big_endian,
+            offset=self.offset,
             budget=self.budget,
         )
 
-    def has_step(self) -> bool:
-        """Whether one more step may be taken; if not, all messages are dropped."""
+    def take_step(self) -> bool:
+        """Take one step from the budget; if none is left, drop all messages and return False."""
         if self.budget.spend(self.row.shape[0]):
             return True
-        self.only(np.zeros(self.row.shape, np.bool_))
+        self.keep_only(np.zeros(self.row.shape, np.bool_))
         return False
 
     def read_length(self) -> Integers:
-        """Read a 32-bit length, and move the cursors behind it.
+        """Read the 32-bit length of a text or sequence, and move the cursors behind it.
 
-        Messages that end before the end of the length are dropped: the result has one row for each
-        of those that stay.
+        Messages that end within the length are dropped first: the result has one row for each of
+        those that stay.
         """
-        self.at = _aligned(self.at, COUNT)
-        self.only(self.at + COUNT <= self.length)
-        raw = gather(self.data, self.begin + self.at, COUNT).view("<u4")
-        self.at = self.at + COUNT
-        return np.where(self.big, raw.byteswap(), raw).astype(np.int64)
+        self.offset = _aligned(self.offset, LENGTH_SIZE)
+        self.keep_only(self.offset + LENGTH_SIZE <= self.length)
+        raw = gather(self.data, self.begin + self.offset, LENGTH_SIZE).view("<u4")
+        self.offset = self.offset + LENGTH_SIZE
+        return np.where(self.is_big_endian, raw.byteswap(), raw).astype(np.int64)
 
 
 class DecodedMessages(NamedTuple):
-    """The rows of messages that could be read, and their columns."""
+    """The rows of the messages that could be read, rising, and their columns by path."""
 
     rows: Rows
     columns: dict[str, NDArray[Any]]
@@ -243,9 +249,9 @@ def decode(
 ) -> DecodedMessages:
     """Decode messages of one definition.
 
-    ``begin``, ``length``: (n,) of each in ``data``, with the encapsulation. Returns the rows that
-    could be read, and their columns: numbers of their own kind, arrays as (m, count), texts as str.
-    ``budget``: of the steps that are taken one by one, of all messages of the log.
+    ``begin``, ``length``: (n,) place in ``data`` and bytes of each, with the encapsulation. Returns
+    the m rows that could be read, and their columns: numbers (m,) of their own kind, arrays of
+    numbers (m, count), texts (m,) as str. ``budget``: of all messages of the log.
     Left out are messages that end too early, and anything but plain CDR of either byte order
     (DDS-RTPS 2.2, section 10; not parameter lists, not XCDR2).
 
@@ -254,7 +260,7 @@ def decode(
     >>> decode(data, np.array([0]), np.array([12]), plan).columns
     {'s': array(['a'], dtype='<U1'), 'x': array([7], dtype=uint16)}
     """
-    with_head = np.flatnonzero(length >= HEAD)
+    with_head = np.flatnonzero(length >= ENCAPSULATION)
     first_byte = data[begin[with_head]]
     second_byte = data[begin[with_head] + 1]  # these two are the encoding, high byte first
     is_plain = (first_byte == 0) & (second_byte <= CDR_LE)
@@ -262,10 +268,10 @@ def decode(
     cursors = _Cursors(
         data=data,
         row=rows,
-        begin=begin[rows] + HEAD,
-        length=length[rows] - HEAD,
-        big=second_byte[is_plain] != CDR_LE,
-        at=np.zeros(rows.shape, np.int64),
+        begin=begin[rows] + ENCAPSULATION,
+        length=length[rows] - ENCAPSULATION,
+        is_big_endian=second_byte[is_plain] != CDR_LE,
+        offset=np.zeros(rows.shape, np.int64),
         budget=budget or StepBudget(),
     )
     for step in plan.steps:
@@ -276,15 +282,15 @@ def decode(
         elif isinstance(step, TextField):
             _read_text(cursors, step, wanted=step.path in plan.wanted)
         else:
-            _skip(cursors, step, counted=plan.counted)
+            _skip_sequence(cursors, step, counted=plan.counted)
     _count_trailing(cursors, plan.trailing)
     return DecodedMessages(cursors.row, cursors.columns)
 
 
 def _count_trailing(cursors: _Cursors, sequences: Sequence[SequenceField]) -> None:
-    """Count the elements of the last sequences; -1 where a message ends before such a count.
+    """Add columns with the numbers of elements of the last sequences; -1 where a message ends.
 
-    No message is dropped for that: of a large message only the beginning is there. Therefore other
+    No message is dropped for that, because of a large message only the beginning is there: other
     cursors move through these sequences, and lose the messages that end.
     """
     not_ended = cursors.independent()
@@ -297,7 +303,7 @@ def _count_trailing(cursors: _Cursors, sequences: Sequence[SequenceField]) -> No
 
 
 class _Layout(NamedTuple):
-    """The numpy type of a run with its wanted numbers, None without any, and its bytes."""
+    """A run of numbers: the numpy type with the wanted ones, None without any, and its bytes."""
 
     dtype: np.dtype[Any] | None
     size: int
@@ -312,7 +318,7 @@ def _layout(run: NumberRun, wanted: frozenset[str], phase: int, *, big: bool) ->
     names = []
     kinds = []
     offsets = []
-    end = phase  # of the numbers so far, from the multiple of `ALIGN` on
+    end = phase  # of the numbers so far: bytes from the multiple of `ALIGN` on
     for numbers in run:
         size = np.dtype(numbers.kind).itemsize
         end = -(-end // size) * size  # the next multiple of the size
@@ -335,27 +341,26 @@ def _read_numbers(
     run: NumberRun,
     wanted: frozenset[str],
 ) -> None:
-    """Read the wanted numbers of a run, and move behind it.
+    """Read the wanted numbers of a run, and move behind it; drop messages that end within it.
 
-    A run has the same layout in all messages in which it begins at the same place modulo `ALIGN`
-    and which have the same byte order. These arrangements are numbered by that place, in big-endian
-    messages by `ALIGN` more.
+    The layout of a run depends on its offset modulo `ALIGN` and on the byte order of the message.
+    These arrangements are numbered: by that offset, plus `ALIGN` in big-endian messages.
     """
-    arrangement = (cursors.at % ALIGN + ALIGN * cursors.big).astype(np.int8)
+    arrangement = (cursors.offset % ALIGN + ALIGN * cursors.is_big_endian).astype(np.int8)
     layouts = {}
     sizes = np.zeros(2 * ALIGN, np.int64)
     messages_of_each = np.bincount(arrangement, minlength=2 * ALIGN)
     for number in np.flatnonzero(messages_of_each).tolist():
         layouts[number] = _layout(run, wanted, phase=number % ALIGN, big=number >= ALIGN)
         sizes[number] = layouts[number].size
-    is_whole = cursors.at + sizes[arrangement] <= cursors.length
-    cursors.only(is_whole)
+    is_whole = cursors.offset + sizes[arrangement] <= cursors.length
+    cursors.keep_only(is_whole)
     arrangement = arrangement[is_whole]
     _add_empty_columns(cursors, run, wanted)
     for number, layout in layouts.items():
         rows = slice(None) if len(layouts) == 1 else arrangement == number
         _fill_columns(cursors, layout, rows)
-    cursors.at = cursors.at + sizes[arrangement]
+    cursors.offset = cursors.offset + sizes[arrangement]
 
 
 def _add_empty_columns(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]) -> None:
@@ -368,46 +373,46 @@ def _add_empty_columns(cursors: _Cursors, run: NumberRun, wanted: frozenset[str]
 
 
 def _fill_columns(cursors: _Cursors, layout: _Layout, rows: Mask | slice) -> None:
-    """Read the numbers at the cursors of some rows, which have one layout, into their columns."""
+    """Read a run of one layout at the cursors of some rows, into the same rows of the columns."""
     if layout.dtype is None:
         return
-    places = (cursors.begin + cursors.at)[rows]
+    places = (cursors.begin + cursors.offset)[rows]
     records = gather(cursors.data, places, layout.size).view(layout.dtype)
     for name in layout.dtype.names or ():
         cursors.columns[name][rows] = records[name]
 
 
 def _read_text(cursors: _Cursors, step: TextField, *, wanted: bool) -> None:
-    """Read a text, or move behind it."""
-    if not cursors.has_step():
+    """Move behind a text, and read it into its column if it is wanted."""
+    if not cursors.take_step():
         return
     length = cursors.read_length()
-    good = cursors.at + length <= cursors.length
-    cursors.only(good)
-    length = length[good]
+    is_whole = cursors.offset + length <= cursors.length
+    cursors.keep_only(is_whole)
+    length = length[is_whole]
     if wanted:
-        begin = cursors.begin + cursors.at
+        begin = cursors.begin + cursors.offset
         cursors.columns[step.path] = _texts(cursors.data, begin, length)
-    cursors.at = cursors.at + length
+    cursors.offset = cursors.offset + length
 
 
 def _texts(data: Bytes, begin: Integers, length: Integers) -> NDArray[Any]:
-    """Texts at (n,) places, of (n,) lengths in bytes with the NUL at the end."""
+    """(n,) texts at these places of ``data``; ``length`` [bytes] counts the NUL at the end."""
     if not length.size:
         return np.empty(0, "U1")
     texts = np.full(length.shape, "", object)
     for size in np.unique(length[length > 1]).tolist():  # of length 1 is the NUL alone
         rows = np.flatnonzero(length == size)
-        letters = size - 1  # without the NUL
-        raw = gather(data, begin[rows], letters).view(f"S{letters}")
+        size_without_nul = size - 1
+        raw = gather(data, begin[rows], size_without_nul).view(f"S{size_without_nul}")
         distinct, number_of_row = np.unique(raw, return_inverse=True)
         decoded = [value.decode("utf-8", "backslashreplace") for value in distinct.tolist()]
         texts[rows] = np.array(decoded, object)[number_of_row]
     return text_column(texts)
 
 
-def _skip(cursors: _Cursors, step: SequenceField, *, counted: bool = False) -> None:
-    """Move behind a sequence; where ``counted`` keep how many elements it has, but no element."""
+def _skip_sequence(cursors: _Cursors, step: SequenceField, *, counted: bool = False) -> None:
+    """Move behind a sequence; if ``counted``, its number of elements becomes a column."""
     count = cursors.read_length()
     if counted:
         cursors.columns[f"{step.path}[]"] = count
@@ -420,9 +425,9 @@ def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> N
     Elements of numbers alone are passed all at once. Other elements are passed one after the other:
     the first in all messages, then the second in all that have a second, and so on.
     """
-    good = count <= cursors.length  # an element has a byte at least
-    cursors.only(good)
-    count = count[good]
+    is_possible = count <= cursors.length  # an element has a byte at least
+    cursors.keep_only(is_possible)
+    count = count[is_possible]
     numbers = tuple(part for part in step.steps if isinstance(part, NumberField))
     if len(numbers) == len(step.steps):
         _skip_numbers(cursors, numbers, count)
@@ -433,50 +438,50 @@ def _skip_elements(cursors: _Cursors, step: SequenceField, count: Integers) -> N
 def _skip_one_by_one(cursors: _Cursors, step: SequenceField, count: Integers) -> None:
     """Move behind ``count`` elements of any kind, an element at a time in all messages.
 
-    Other cursors move, and lose each message when its elements are passed; where that was is noted.
+    Other cursors move, and lose each message when its elements are passed; its offset is then kept.
     """
     ends = np.full(cursors.row.shape, -1, np.int64)  # -1 of messages that end too early
     unfinished = cursors.independent()
     unfinished.columns["count"] = count  # a column, as it loses the same messages
-    steps = _runs(step.steps)
+    steps = _plan_steps(step.steps)
     passed = 0
     while True:
         has_more = unfinished.columns["count"] > passed
         is_passed = ~has_more
-        ends[unfinished.row[is_passed]] = unfinished.at[is_passed]
-        unfinished.only(has_more)
-        if not unfinished.row.shape[0] or not unfinished.has_step():
+        ends[unfinished.row[is_passed]] = unfinished.offset[is_passed]
+        unfinished.keep_only(has_more)
+        if not unfinished.row.shape[0] or not unfinished.take_step():
             break
         _skip_steps(unfinished, steps)
         passed += 1
-    cursors.at = np.maximum(ends, 0)  # 0 stands for messages that the next line drops
-    cursors.only(ends >= 0)
+    cursors.offset = np.maximum(ends, 0)  # 0 for messages that the next line drops
+    cursors.keep_only(ends >= 0)
 
 
 def _skip_numbers(cursors: _Cursors, run: NumberRun, count: Integers) -> None:
     """Move behind ``count`` elements, each of them the numbers of a run.
 
-    Bytes that align stand only in front of an element, so an empty sequence has none. The size of
-    an element depends on its phase, which is its place modulo `ALIGN`. The sizes of 2, 4, 8 ...
-    elements at each phase follow by doubling; the binary digits of ``count`` say which to add.
+    Bytes that align are only in front of an element, so an empty sequence has none. The size of an
+    element depends on its phase, which is its offset modulo `ALIGN`. The sizes of 2, 4, 8 ...
+    elements at each phase follow by doubling; the binary digits of ``count`` show which to add.
     """
     phases = np.arange(ALIGN)
     sizes = [_layout(run, frozenset(), phase, big=False).size for phase in phases.tolist()]
     bytes_at_phase = np.minimum(sizes, MAX_COUNT)  # no message is that long
-    place = cursors.at
-    left = count
-    while left.any():
-        is_odd = left % 2 == 1
-        place = np.where(is_odd, place + bytes_at_phase[place % ALIGN], place)
+    offset = cursors.offset
+    count_left = count
+    while count_left.any():
+        is_odd = count_left % 2 == 1
+        offset = np.where(is_odd, offset + bytes_at_phase[offset % ALIGN], offset)
         twice = bytes_at_phase + bytes_at_phase[(phases + bytes_at_phase) % ALIGN]
         bytes_at_phase = np.minimum(twice, MAX_COUNT)
-        left = left // 2
-    cursors.at = place
-    cursors.only(cursors.at <= cursors.length)
+        count_left = count_left // 2
+    cursors.offset = offset
+    cursors.keep_only(cursors.offset <= cursors.length)
 
 
 def _skip_steps(cursors: _Cursors, steps: Sequence[PlanStep]) -> None:
-    """Move behind one element of these steps."""
+    """Move behind one element of a sequence, which consists of these steps."""
     for step in steps:
         if not cursors.row.shape[0]:
             return
@@ -485,4 +490,4 @@ def _skip_steps(cursors: _Cursors, steps: Sequence[PlanStep]) -> None:
         elif isinstance(step, TextField):
             _read_text(cursors, step, wanted=False)
         else:
-            _skip(cursors, step)
+            _skip_sequence(cursors, step)

@@ -14,7 +14,7 @@ from unbend.ingest.mcap.record_layout import (
     LARGE_MESSAGE,
     MAX_DEFINITION,
     MESSAGE_START,
-    RECORD,
+    RECORD_HEAD,
     Definition,
     Opcode,
     Record,
@@ -24,7 +24,7 @@ from unbend.ingest.mcap.record_proofs import next_message_in_chunk
 from unbend.messages import Message
 from unbend.units import Integers
 
-KEPT = (*DEFINITIONS_IN_CHUNKS, Opcode.MESSAGE)  # kinds of records kept of a large chunk
+KEPT_KINDS = (*DEFINITIONS_IN_CHUNKS, Opcode.MESSAGE)  # of the records of a large chunk
 
 
 class ChunkReader:
@@ -42,28 +42,28 @@ class ChunkReader:
         self.budget = chunks.InflationBudget(data.size)
 
     def read(self, record: Record) -> Iterator[Definition | MessageRecords]:
-        """The records of a chunk; a chunk that cannot be read is entered as damage."""
+        """Yield the definitions and messages of a chunk; one that cannot be read is damage."""
         chunk = self._checked_head(record)
         if chunk is None:
             return
-        lost_bytes = record.length if chunk.small else chunk.length  # if it cannot be inflated
-        where = self.damage.at(record.at)
+        lost_bytes = record.length if chunk.small else chunk.length  # reported if inflating fails
+        where = self.damage.place_in_words(record.begin)
         inflated = chunks.inflate(self.data, chunk, where=where, count=lost_bytes)
         if isinstance(inflated, Message):
             self.damage.add(inflated)
         elif chunk.small:
-            yield from self._records_in(np.frombuffer(inflated, np.uint8), record.at)
+            yield from self._records_in(np.frombuffer(inflated, np.uint8), record.begin)
         else:
-            yield from self._large_chunk(record.at, chunk)
+            yield from self._large_chunk(record.begin, chunk)
 
     def _checked_head(self, record: Record) -> chunks.Chunk | None:
-        """The head of a chunk that may be inflated, whose cost is taken from the budget.
+        """The head of a chunk that may be inflated; the cost of that is taken from the budget.
 
         None for any other chunk, which is entered as damage.
         """
-        where = self.damage.at(record.at)
+        where = self.damage.place_in_words(record.begin)
         count = record.length
-        chunk = chunks.chunk_head(self.data, record.content, record.length)
+        chunk = chunks.chunk_head(self.data, record.content_begin, record.length)
         if chunk is None:
             self.damage.add(messages.chunk_head_invalid(where=where, count=count))
             return None
@@ -80,33 +80,40 @@ class ChunkReader:
             return None
         return chunk
 
-    def _large_chunk(self, at: int, chunk: chunks.Chunk) -> Iterator[Definition | MessageRecords]:
-        """The records of a chunk that `inflate` has checked, inflated again, block by block."""
+    def _large_chunk(
+        self, chunk_begin: int, chunk: chunks.Chunk
+    ) -> Iterator[Definition | MessageRecords]:
+        """The records of a chunk that `inflate` has checked, inflated again, block by block.
+
+        ``chunk_begin``: the place of the chunk in the file, for reports of damage.
+        """
         kept = bytearray()
         place = 0
         with chunks.chunk_stream(self.data, chunk) as stream:
-            while place + RECORD.size <= chunk.size:
-                opcode, length = RECORD.unpack(stream.read(RECORD.size))
-                bytes_left = chunk.size - place - RECORD.size
+            while place + RECORD_HEAD.size <= chunk.size:
+                opcode, length = RECORD_HEAD.unpack(stream.read(RECORD_HEAD.size))
+                bytes_left = chunk.size - place - RECORD_HEAD.size
                 if opcode == 0 or length > bytes_left:
                     self.damage.add(
                         messages.chunk_end_not_records(
-                            where=self.damage.at(at), count=chunk.size - place, size=chunk.size
+                            where=self.damage.place_in_words(chunk_begin),
+                            count=chunk.size - place,
+                            size=chunk.size,
                         )
                     )
                     break
                 kept += _kept_part(stream, opcode, length)
-                place += RECORD.size + length
+                place += RECORD_HEAD.size + length
                 if len(kept) >= BATCH_BYTES:
-                    batch = bytes(kept)  # a copy: messages hold parts of it
+                    batch = bytes(kept)  # a copy: messages keep views of it
                     kept.clear()
-                    yield from self._records_in(np.frombuffer(batch, np.uint8), at)
-        yield from self._records_in(np.frombuffer(bytes(kept), np.uint8), at)
+                    yield from self._records_in(np.frombuffer(batch, np.uint8), chunk_begin)
+        yield from self._records_in(np.frombuffer(bytes(kept), np.uint8), chunk_begin)
 
-    def _records_in(self, view: Bytes, at: int) -> Iterator[Definition | MessageRecords]:
+    def _records_in(self, view: Bytes, chunk_begin: int) -> Iterator[Definition | MessageRecords]:
         """Yield the definitions among inflated records, and then all messages among them together.
 
-        ``at``: where the chunk begins in the file. Damage is entered, and passed over.
+        ``chunk_begin``: the place of the chunk in the file. Damage is entered, and passed over.
         """
         size = int(view.shape[0])
         if not size:
@@ -123,30 +130,33 @@ class ChunkReader:
                 continue
             end = _definition_end(raw, place)
             if end is None:
-                place = self._resume_in(view, place, starts, at)
+                place = self._resume_in(view, place, starts, chunk_begin)
                 continue
-            content = raw[place + RECORD.size : end]
+            content = raw[place + RECORD_HEAD.size : end]
             if len(content) <= MAX_DEFINITION:
-                yield Definition(raw[place], bytes(content), at)
+                yield Definition(raw[place], bytes(content), chunk_begin)
             place = end
         if starts:
-            yield from self._within_budget(MessageRecords(view, np.concatenate(starts)), at)
+            records = MessageRecords(view, np.concatenate(starts))
+            yield from self._within_budget(records, chunk_begin)
 
-    def _within_budget(self, records: MessageRecords, at: int) -> Iterator[MessageRecords]:
-        """Messages of a chunk, unless they are too many for a file of this size."""
+    def _within_budget(self, records: MessageRecords, chunk_begin: int) -> Iterator[MessageRecords]:
+        """Yield the messages of a chunk, unless they are too many for a file of this size."""
         too_many = self.budget.spend_messages(
-            records.starts.shape[0], where=self.damage.at(at), count=records.data.shape[0]
+            records.starts.shape[0],
+            where=self.damage.place_in_words(chunk_begin),
+            count=records.data.shape[0],
         )
         if too_many is None:
             yield records
         else:
             self.damage.add(too_many)
 
-    def _resume_in(self, view: Bytes, place: int, starts: list[Integers], at: int) -> int:
-        """Enter damage that shows at a place of a chunk; returns where messages go on.
+    def _resume_in(self, view: Bytes, place: int, starts: list[Integers], chunk_begin: int) -> int:
+        """Enter the damage at a place of an inflated chunk; returns where in it messages go on.
 
-        The length of the message before the place may be what is damaged: messages then go on
-        inside that message, before the place, and it is removed from ``starts``.
+        The length of the message before ``place`` may be what is damaged: messages then go on
+        inside that message, before ``place``, and that message is removed from ``starts``.
         """
         last_begin = place
         if starts and starts[-1].size:
@@ -159,26 +169,29 @@ class ChunkReader:
             lost = resumed - place
         self.damage.add(
             messages.chunk_not_records(
-                where=self.damage.at(at), count=lost, size=int(view.shape[0])
+                where=self.damage.place_in_words(chunk_begin),
+                count=lost,
+                size=int(view.shape[0]),
             )
         )
         return resumed
 
 
 def _kept_part(stream: IO[bytes], opcode: int, length: int) -> bytes:
-    """Read the content of a record of a large chunk from its stream; returns what is kept of it.
+    """Read the content of a record from the stream of a large chunk; returns what is kept of it.
 
-    That is a record with all of a small message or definition, or with the beginning of a large
-    one; empty for records of other kinds. The stream is moved behind the content in any case.
+    A message or definition is returned as a record, with its head and its whole content, or, if it
+    is large, the first bytes of that; a record of another kind as b"". In any case the stream is
+    moved behind the content.
     """
     kept = b""
-    left = length
-    if opcode in KEPT:
+    bytes_left = length
+    if opcode in KEPT_KINDS:
         kept_length = _kept_length(opcode, length)
-        kept = RECORD.pack(opcode, kept_length) + stream.read(kept_length)
-        left -= kept_length
-    while left > 0:
-        left -= len(stream.read(min(left, chunks.BLOCK)))
+        kept = RECORD_HEAD.pack(opcode, kept_length) + stream.read(kept_length)
+        bytes_left -= kept_length
+    while bytes_left > 0:
+        bytes_left -= len(stream.read(min(bytes_left, chunks.BLOCK)))
     return kept
 
 
@@ -190,21 +203,27 @@ def _kept_length(opcode: int, length: int) -> int:
 
 
 def _message_runs(view: Bytes) -> Runs:
-    """The places of a chunk with the opcode of a message, and a length that ends inside."""
+    """Where messages may begin and end in an inflated chunk.
+
+    They begin at each byte with the opcode of a message and a length that ends inside the chunk.
+    """
     size = int(view.shape[0])
-    places = np.flatnonzero(view[: max(size - RECORD.size + 1, 0)] == Opcode.MESSAGE)
+    places = np.flatnonzero(view[: max(size - RECORD_HEAD.size + 1, 0)] == Opcode.MESSAGE)
     lengths = gather(view, places + 1, 8).view("<u8")
-    fits = lengths <= (size - RECORD.size - places).astype(np.uint64)
+    fits = lengths <= (size - RECORD_HEAD.size - places).astype(np.uint64)
     begins = places[fits].astype(np.int64)
-    return Runs(begins, begins + RECORD.size + lengths[fits].astype(np.int64))
+    return Runs(begins, begins + RECORD_HEAD.size + lengths[fits].astype(np.int64))
 
 
 def _definition_end(raw: memoryview, place: int) -> int | None:
-    """Where a schema or channel ends that begins at a place of a chunk; None if none does."""
-    if place + RECORD.size > len(raw):
+    """Where the schema or channel ends that begins at a place of an inflated chunk.
+
+    None if neither begins there, or if it does not end inside the chunk.
+    """
+    if place + RECORD_HEAD.size > len(raw):
         return None
-    opcode, length = RECORD.unpack_from(raw, place)
-    end = place + RECORD.size + length
+    opcode, length = RECORD_HEAD.unpack_from(raw, place)
+    end = place + RECORD_HEAD.size + length
     if opcode not in DEFINITIONS_IN_CHUNKS or end > len(raw):
         return None
     return int(end)

@@ -21,10 +21,10 @@ PACKED_SIZE = 8  # [bytes] of the number behind the name of the compression
 LONGEST_NAME = 16  # letters of the name of a compression
 COMPRESSIONS = ("", "lz4", "zstd")
 
-# Up to WHOLE bytes a chunk is inflated at once; recorders write 1 to 4 MiB. Beyond, it is inflated
-# block by block and twice, so its size costs time and no memory. Images fill chunks of hundreds of
-# MiB and shrink to a half at best; bombs shrink to a 250th (lz4) or a 30,000th (zstd).
-WHOLE = 16 << 20  # [bytes] inflated
+# Up to MAX_AT_ONCE bytes a chunk is inflated at once; recorders write 1 to 4 MiB. Beyond, it is
+# inflated block by block and twice, so its size costs time and no memory. Images fill chunks of
+# hundreds of MiB and shrink to a half at best; bombs shrink to a 250th (lz4), a 30,000th (zstd).
+MAX_AT_ONCE = 16 << 20  # [bytes] inflated
 FREE_CHUNK = 64 << 20  # [bytes] inflated; taken however far it was compressed
 MAX_CHUNK = 2 << 30  # [bytes] inflated
 MAX_RATIO = 200  # of a chunk larger than FREE_CHUNK, and of a file whose chunks exceed FREE_FILE
@@ -47,12 +47,13 @@ class _HeadFields(NamedTuple):
 
 @dataclass(frozen=True)
 class Chunk:
-    """The head of a chunk, and where its packed records lie in the file.
+    """The head of a chunk, and where its packed records are in the file.
 
-    first_time, last_time : of its messages, as the head states them.
-    size, crc : bytes and checksum of its records when inflated; 0 for no checksum.
+    first_time, last_time : log_time [ns] of its messages, as the head states them.
+    size, crc : bytes and CRC-32 of its records when inflated; a CRC of 0 means no checksum.
+    compression : its name, "" for records that are not packed.
     begin, length : place in the file and bytes of the packed records.
-    rest : bytes of the chunk behind the packed records; 0 in an undamaged chunk.
+    trailing_bytes : bytes of the chunk behind the packed records; 0 in an undamaged chunk.
     """
 
     first_time: int
@@ -62,12 +63,12 @@ class Chunk:
     compression: str
     begin: int
     length: int
-    rest: int
+    trailing_bytes: int
 
     @property
     def plausible(self) -> bool:
         """Whether the head alone proves that a chunk begins here: its sizes fit each other."""
-        if self.compression not in COMPRESSIONS or self.rest != 0:
+        if self.compression not in COMPRESSIONS or self.trailing_bytes != 0:
             return False
         if self.first_time > self.last_time:
             return False
@@ -79,14 +80,16 @@ class Chunk:
     def small(self) -> bool:
         """Whether it may be inflated at once: neither its records nor their packed bytes are large.
 
-        At the worst packing adds some bytes to each block.
+        Packing makes records that cannot be compressed longer by some bytes a block.
         """
         longest_packed = self.size + self.size // 64 + 4096
-        return self.size <= WHOLE and self.length <= longest_packed
+        return self.size <= MAX_AT_ONCE and self.length <= longest_packed
 
 
 class InflationBudget:
     """How many bytes and messages the chunks of a file may inflate to: more for a larger file.
+
+    ``max_bytes`` and ``max_messages`` of all chunks; ``bytes_left`` and ``messages_left`` of them.
 
     >>> chunk = Chunk(0, 0, 60 << 20, 0, "zstd", 0, 9, 0)
     >>> InflationBudget(0).spend(chunk, where="a.mcap, byte 0", count=9) is None
@@ -94,16 +97,16 @@ class InflationBudget:
     """
 
     def __init__(self, file_bytes: int) -> None:
-        self.limit = FREE_FILE + MAX_RATIO * file_bytes
-        self.left = self.limit
-        self.most_messages = FREE_MESSAGES + file_bytes // BYTES_OF_MESSAGE
-        self.messages_left = self.most_messages
+        self.max_bytes = FREE_FILE + MAX_RATIO * file_bytes
+        self.bytes_left = self.max_bytes
+        self.max_messages = FREE_MESSAGES + file_bytes // BYTES_OF_MESSAGE
+        self.messages_left = self.max_messages
 
     def spend(self, chunk: Chunk, *, where: str, count: int) -> Message | None:
-        """Take what inflating a chunk costs from the budget; returns why it may not be inflated.
+        """Take the cost of inflating a chunk from the budget; None if that is possible.
 
-        None stands for a chunk that may be inflated; of another one nothing is taken. ``where`` and
-        ``count`` are the chunk's place, and its bytes in the file, for the message.
+        If the chunk is too large, nothing is taken, and the message about that is returned.
+        ``where`` and ``count``: the chunk's place, and its bytes in the file, for the message.
         """
         largest = min(MAX_CHUNK, max(FREE_CHUNK, MAX_RATIO * chunk.length))
         if chunk.size > largest:
@@ -117,38 +120,42 @@ class InflationBudget:
                 free=FREE_CHUNK,
             )
         cost = chunk.size if chunk.small else 2 * chunk.size  # a large one is inflated twice
-        if cost > self.left:
+        if cost > self.bytes_left:
             return messages.chunks_too_large(
                 where=where,
                 count=count,
                 packed=chunk.length,
                 size=chunk.size,
-                left=self.left,
-                limit=self.limit,
+                left=self.bytes_left,
+                limit=self.max_bytes,
             )
-        self.left -= cost
+        self.bytes_left -= cost
         return None
 
     def spend_messages(self, rows: int, *, where: str, count: int) -> Message | None:
-        """Take the messages of a chunk from the budget; returns why they may not be read."""
+        """Take the messages of a chunk, ``rows``, from the budget; None if that is possible.
+
+        If they are too many, nothing is taken, and the message about that is returned. ``where``
+        and ``count``: the chunk's place, and the bytes of its messages, for the message.
+        """
         if rows > self.messages_left:
             return messages.too_many_messages(
                 where=where,
                 count=count,
                 rows=rows,
                 left=self.messages_left,
-                limit=self.most_messages,
+                limit=self.max_messages,
             )
         self.messages_left -= rows
         return None
 
 
-def chunk_head(data: FileView, at: int, length: int) -> Chunk | None:
-    """The head of a chunk record whose content begins at ``at`` and has ``length`` bytes.
+def chunk_head(data: FileView, begin: int, length: int) -> Chunk | None:
+    """Read the head of a chunk from the content of its record: ``length`` bytes from ``begin`` on.
 
     None where the lengths in the head do not fit into the record.
     """
-    head = data[at : at + min(length, CHUNK_HEAD.size + LONGEST_NAME + PACKED_SIZE)]
+    head = data[begin : begin + min(length, CHUNK_HEAD.size + LONGEST_NAME + PACKED_SIZE)]
     if len(head) < CHUNK_HEAD.size + PACKED_SIZE:
         return None
     fields = _HeadFields(*CHUNK_HEAD.unpack_from(head))
@@ -165,27 +172,27 @@ def chunk_head(data: FileView, at: int, length: int) -> Chunk | None:
         size=fields.size,
         crc=fields.crc,
         compression=head[CHUNK_HEAD.size : name_end].decode("ascii", "backslashreplace"),
-        begin=at + head_end,
+        begin=begin + head_end,
         length=packed,
-        rest=length - head_end - packed,
+        trailing_bytes=length - head_end - packed,
     )
 
 
 def inflate(data: FileView, chunk: Chunk, *, where: str, count: int) -> bytes | Message:
-    """Inflate a chunk and check it; returns its records, or why they cannot be used.
+    """Inflate a chunk and check it; returns its records, or a message why they cannot be used.
 
-    Of a large chunk nothing is returned but b"": it is checked here, and inflated again block by
-    block. ``where`` and ``count`` are its place, and its bytes in the file, for the message.
+    A large chunk is only checked, and b"" is returned: `chunk_stream` inflates it again, block by
+    block. ``where`` and ``count``: its place, and its bytes in the file, for the message.
     """
     import zstandard
 
     blocks: list[bytes] = []
     size = 0
     crc = 0
-    step = chunk.size + 1 if chunk.small else BLOCK  # a byte more shows that a chunk is too long
+    read_size = chunk.size + 1 if chunk.small else BLOCK  # + 1 shows that a chunk is too long
     try:
         with chunk_stream(data, chunk) as stream:
-            while size <= chunk.size and (block := stream.read(step)):
+            while size <= chunk.size and (block := stream.read(read_size)):
                 size += len(block)
                 if chunk.crc:  # else the recorder made no checksum, and ``crc`` stays 0 too
                     crc = zlib.crc32(block, crc)
@@ -204,7 +211,7 @@ def inflate(data: FileView, chunk: Chunk, *, where: str, count: int) -> bytes | 
 
 @contextmanager
 def chunk_stream(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
-    """The records of a chunk as a stream; those of a large chunk are inflated as they are read."""
+    """The inflated records of a chunk as a stream; a large chunk is inflated as it is read."""
     import lz4.frame  # type: ignore[import-untyped]  # it ships neither stubs nor a marker
     import zstandard
 
@@ -228,19 +235,19 @@ def chunk_stream(data: FileView, chunk: Chunk) -> Iterator[IO[bytes]]:
 
 
 class _Packed(io.RawIOBase):
-    """The packed bytes of a chunk as a file of their own."""
+    """The packed bytes of a chunk as a file, for the libraries that inflate them."""
 
     def __init__(self, data: FileView, chunk: Chunk) -> None:
         super().__init__()
         self.data = data
-        self.at = chunk.begin
+        self.place = chunk.begin
         self.end = chunk.begin + chunk.length
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, buffer: Any) -> int:
-        block = self.data[self.at : min(self.at + len(buffer), self.end)]
+        block = self.data[self.place : min(self.place + len(buffer), self.end)]
         buffer[: len(block)] = block
-        self.at += len(block)
+        self.place += len(block)
         return len(block)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from unbend.ingest.mcap import messages
 from unbend.messages import Message
 
-NAMED = 8  # losses of one kind (code) that are named one by one; the others are counted
+LISTED_LOSSES = 8  # of one kind (code) that are named one by one; the others are counted
 
 
 class Damage:
@@ -22,15 +22,15 @@ class Damage:
         self._seen: Counter[str] = Counter()
         self._more_bytes: Counter[str] = Counter()
 
-    def at(self, place: int) -> str:
-        """A place of the file, in words."""
+    def place_in_words(self, place: int) -> str:
+        """The file and the byte offset of a place in it, for reports."""
         return f"{self._file}, byte {place}"
 
     def add(self, loss: Message) -> None:
-        """Enter a loss; the count of its message is in bytes."""
+        """Enter a loss, with a count in bytes."""
         self.bad_bytes += loss.count
         self._seen[loss.code] += 1
-        if self._seen[loss.code] <= NAMED:
+        if self._seen[loss.code] <= LISTED_LOSSES:
             self.losses.append(loss)
         else:
             self._more_bytes[loss.code] += loss.count
@@ -40,5 +40,5 @@ class Damage:
         yield from self.losses
         for code, count in self._more_bytes.items():
             last_named = [loss for loss in self.losses if loss.code == code][-1]
-            places = self._seen[code] - NAMED
+            places = self._seen[code] - LISTED_LOSSES
             yield messages.more_places(like=last_named, places=places, count=count)

@@ -34,15 +34,15 @@ from unbend.units import NANOSECONDS_PER_SECOND, Mask, Rows
 
 
 def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
-    """The contents of an MCAP log; ``witnesses`` are other clocks that tell its date."""
+    """The contents of an MCAP log; ``witnesses`` are other clocks that show its date."""
     reader = McapReader(ledger, path.name)
-    line = timeline(reader.through(path))  # reads the file: all below needs the whole pass
+    line = timeline(reader.read_file(path))  # reads the file: all below needs the whole pass
     lost = reader.report()
     series: list[TopicSamples] = []
     for topic in reader.topics.values():
         series += topic.named_series()
     make_names_unique(series)
-    clock = boot_clock_of(line, series, reader.recorder(), ledger, witnesses)
+    clock = boot_clock_of(line, series, reader.recorder_readings(), ledger, witnesses)
     reader.release_topics()
     channels = []
     unstamped = 0
@@ -54,7 +54,7 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
             channel = channel_of(part, samples.spec, ledger)
             if channel is not None:
                 channels.append(channel)
-    counts_from_boot = clock.line.boot.size > 0  # else no message does
+    counts_from_boot = clock.line.boot.size > 0  # the line is of messages with such a time only
     if not counts_from_boot:
         compare_with_recorder(channels, reader.recorded_ns, ledger)
     return Contents(
@@ -75,10 +75,10 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
 def compare_with_recorder(
     channels: Sequence[Channel], recorded_ns: int | None, ledger: Ledger
 ) -> None:
-    """Report it if the first stamp is more than a minute from the first log_time, ``recorded_ns``.
+    """Report it if the first stamp is more than a minute from the first log_time.
 
-    That is in Unix ns, None if unknown. Stamps and log_time are of clocks of computers, and neither
-    clock need be right. Dates that no log can have are judged elsewhere.
+    ``recorded_ns``: that log_time in Unix ns, None if unknown. Stamps and log_time are of clocks of
+    computers, and either clock may be wrong. Dates that no log can have are not judged here.
     """
     begins_ns = [int(channel.time_ns[0]) for channel in channels if len(channel)]
     if recorded_ns is None or not begins_ns or not is_possible(min(begins_ns)):
@@ -95,7 +95,7 @@ def compare_with_recorder(
 def _time_base(clock: BootClock, unstamped: int) -> str:
     """Where the UTC of the messages comes from, in words, for inspections and reports.
 
-    ``unstamped`` : how many messages have no time of their own.
+    ``unstamped``: how many messages have no time of their own, and therefore log_time.
     """
     counts_from_boot = clock.line.boot.size > 0
     if not counts_from_boot:
@@ -120,7 +120,10 @@ MCAP = LogFormat("mcap", "MCAP", (".mcap",), is_mcap, read_log)
 
 
 def make_names_unique(series: list[TopicSamples]) -> None:
-    """Add the schema to names that several channels have, and a number where that is not enough."""
+    """Make the names of series distinct, in place.
+
+    The schema is added to names that several series have, and a number where that is not enough.
+    """
     count_of_name = Counter(samples.name for samples in series)
     for samples in series:
         if count_of_name[samples.name] > 1:
@@ -133,7 +136,7 @@ def make_names_unique(series: list[TopicSamples]) -> None:
 
 
 def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
-    """A timeline whose boots begin only where the time of at least one topic steps back.
+    """The timeline without the boots at which no single topic's time since boot steps back.
 
     Messages of different topics may come late, and seem to step back against each other.
     """
@@ -143,13 +146,17 @@ def boots_of_topics(line: Timeline, series: Sequence[TopicSamples]) -> Timeline:
         for samples in series:
             if samples.from_integer:
                 is_boot |= _steps_back_at(line, starts, samples)
-    marks = np.zeros(line.boot.shape, np.int16)
-    marks[starts] = is_boot
-    return replace(line, boot=np.cumsum(marks, dtype=np.int16))
+    boots_begun = np.zeros(line.boot.shape, np.int16)  # at each stretch: 0 or 1
+    boots_begun[starts] = is_boot
+    return replace(line, boot=np.cumsum(boots_begun, dtype=np.int16))
 
 
 def _steps_back_at(line: Timeline, starts: Rows, samples: TopicSamples) -> Mask:
-    """Whether the time of a topic steps back from before each of some stretches to behind it."""
+    """Whether the time since boot of a topic steps back at the begin of some stretches.
+
+    ``starts``: (n,) rows of stretches in ``line``. Returns (n,); False where the topic has no
+    message before, or none from there on.
+    """
     places, boot_ns = samples.stamps(line)
     row_behind = np.searchsorted(places, line.first[starts])
     has_both_sides = (row_behind > 0) & (row_behind < places.shape[0])
@@ -172,7 +179,7 @@ def boot_clock_of(
     ``line`` is the timeline by the messages of all topics. UTC comes from the receivers among
     ``series``, from cameras where no receiver has a fix, and from ``recorder`` (log_time) in boots
     without either. ``recorder`` is None where no message counts from a boot: all stamps are then of
-    the recorder's computer. ``witnesses``: other clocks that tell the date.
+    the recorder's computer. ``witnesses``: other clocks that show the date.
     """
     if line.boots > 1:
         line = boots_of_topics(line, series)
@@ -216,14 +223,15 @@ def boot_clock_of(
 
 
 def _table(path: Path, clock: BootClock, name: str, instance: str | None) -> Table:
-    """The messages of a topic, or of one ``instance``, with the recorder's time and all fields.
+    """The messages of a topic with their times and all fields; ``instance`` None for all of them.
 
     A topic of several schemas gives one table, in the order of the file. The table is empty where
     no message is of the instance. Raises LogError (LOG-NO-TABLE) where the topic has messages and
     none of them can be decoded.
     """
     reader = McapReader(Ledger(), path.name, only=name)
-    deque(reader.through(path), 0)
+    # exhausts the generator without keeping its results: the whole file is read
+    deque(reader.read_file(path), 0)
     has_decoded = False
     tables: list[Table] = []
     for topic in reader.topics.values():
@@ -254,9 +262,9 @@ def _refuse_undecoded(reader: McapReader, name: str) -> None:
 
 
 def _tables_of(topic: topics.Topic, clock: BootClock) -> Iterator[Table]:
-    """A table of the messages whose times were integers (see `OwnTimes`), and one of the others.
+    """A table of the messages with integers as times (see `OwnTimes`), and one of the others.
 
-    The blocks of the topic are removed, so that memory does not hold them twice.
+    The blocks of the topic are removed, so that they are not twice in memory.
     """
     for from_integer in (False, True):
         blocks = topic.blocks[from_integer]
@@ -273,7 +281,7 @@ def _tables_of(topic: topics.Topic, clock: BootClock) -> Iterator[Table]:
 
 
 def _rows_of_instance(table: Table, id_field: str, instance: str) -> Table:
-    """The rows whose name is the instance; an empty table where there are none."""
+    """The rows with the name ``instance`` in the field of names; an empty table without any."""
     for name, rows in topics.rows_by_name(table, id_field):
         if name == instance:
             return {field: column[rows] for field, column in table.items()}

@@ -20,7 +20,7 @@ from unbend.ingest.mcap.message_batches import Messages
 from unbend.ingest.mcap.message_counts import MessageCounts
 from unbend.ingest.mcap.record_layout import Definition, Opcode
 from unbend.ingest.mcap.ros2_definitions import SchemaError
-from unbend.ingest.mcap.topic_samples import PLAIN_JSON, SCHEMAS, TopicSamples, known_name
+from unbend.ingest.mcap.topic_samples import PLAIN_JSON, SCHEMAS, TopicSamples, message_name
 from unbend.ingest.message_tables import rows_by_value
 from unbend.ingest.timelines import Stamps
 from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S, UNCHECKED_WHY
@@ -28,14 +28,14 @@ from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger, Message
 from unbend.units import Integers, Rows
 
-# What the library's parsers of records raise on damaged lengths and text, beside McapError.
+# What the library's parsers of records raise on damaged lengths and text, apart from McapError.
 _PARSE_ERRORS = (struct.error, ValueError, OverflowError)
 # What a definition that is damaged makes the libraries raise.
 _SCHEMA_ERRORS = (SchemaError, UnicodeDecodeError, TypeError, ValueError, KeyError, RuntimeError)
 
 # Of messages and of their definitions; JSON needs none.
 READ_ENCODINGS = {("cdr", "ros2msg"), ("protobuf", "protobuf")}
-RECORDED = 512  # messages of each block (4 MiB) whose log_time is kept beside their time since boot
+RECORDER_SAMPLES = 512  # messages of each batch (4 MiB): log_time and time since boot are kept
 MAX_CONTRADICTIONS = 1000  # definitions that differ from an earlier one; no log has any
 LISTED_CONTRADICTIONS = 8  # in the ledger
 
@@ -55,10 +55,12 @@ class _Subscription(NamedTuple):
 
 
 class McapReader:
-    """Definitions, counts and topics of one file; with ``only`` all fields of that topic.
+    """Reads one file: its definitions, counts and topics.
 
-    ``unread``: why topics that are wanted are not read; it is in the ledger too.
-    ``unread_encodings``: those of any messages that are not read, each with its first topic.
+    ``only``: the name of the one topic to read, with all fields; None for all topics that channels
+    are made of, with the fields for these. ``unread``: why topics that are wanted are not read; it
+    is in the ledger too. ``unread_encodings``: those of any messages that are not read, each with
+    its first topic.
     """
 
     def __init__(self, ledger: Ledger, file: str, only: str | None = None) -> None:
@@ -82,11 +84,14 @@ class McapReader:
         self._step_budget = StepBudget()
         self.series_limit = SeriesLimit()  # of all topics together
         self._crowded_out: set[int] = set()  # channels of topics beyond `MAX_SERIES`
-        self._seen = 0  # messages, of any channel
-        self._recorded: list[Integers] = []  # (3, n) places, times since boot, log_time
+        self._messages_seen = 0  # messages, of any channel
+        self._recorded: list[Integers] = []  # (3, n): places, times since boot [ns], log_time [ns]
 
-    def through(self, path: Path) -> Iterator[Stamps]:
-        """Read the file; yields places and times since boot of the messages that count it."""
+    def read_file(self, path: Path) -> Iterator[Stamps]:
+        """Read the file; yields the places and times since boot of its messages that have one.
+
+        The file is read as far as the result is iterated: all of it when that is exhausted.
+        """
         with open_view(path) as data:
             self._parse_budget = topics.ParseBudget.of_file(data.size)
             self._step_budget = StepBudget.of_file(data.size)
@@ -94,12 +99,12 @@ class McapReader:
                 if isinstance(part, Definition):
                     self._define(part)
                     continue
-                stamps = self._take(part)
+                stamps = self._take_batch(part)
                 if stamps:
-                    yield self._in_order(stamps)
+                    yield self._merged_stamps(stamps)
 
-    def _take(self, batch: Messages) -> list[topics.BootStamps]:
-        """Hand messages to their topics; returns the stamps of those that count from a boot."""
+    def _take_batch(self, batch: Messages) -> list[topics.BootStamps]:
+        """Count messages and hand them to their topics; returns the stamps since boot of these."""
         shares: dict[TopicKey, list[tuple[topics.Decoder, Rows]]] = {}
         rows_of = dict(rows_by_value(batch.channel))
         for number in self.counts.take(batch, self.names):
@@ -110,26 +115,32 @@ class McapReader:
         if self.recorded_ns is None:
             with_utc = batch.log_time[batch.log_time > UNIX_NS_FROM]
             self.recorded_ns = int(with_utc[0]) if with_utc.size else None
-        before = self._seen
-        self._seen += len(batch)
+        messages_before = self._messages_seen
+        self._messages_seen += len(batch)
         stamps: list[topics.BootStamps] = []
         for key, shares_of_topic in shares.items():
-            stamps += self.topics[key].take(batch, shares_of_topic, before)
+            stamps += self.topics[key].take(batch, shares_of_topic, messages_before)
         return stamps
 
-    def _in_order(self, stamps: list[topics.BootStamps]) -> Stamps:
-        """Stamps of several topics in the order of the log; a sample is kept with log_time."""
+    def _merged_stamps(self, stamps: list[topics.BootStamps]) -> Stamps:
+        """Stamps of several topics in the order of the log.
+
+        At most `RECORDER_SAMPLES` of them are kept with log_time, for `recorder_readings`.
+        """
         places = np.concatenate([part.places for part in stamps])
         boot_ns = np.concatenate([part.boot_ns for part in stamps])
         log_ns = np.concatenate([part.log_ns for part in stamps])
         order = np.argsort(places)
-        step = -(-order.shape[0] // RECORDED)  # rounded up
+        step = -(-order.shape[0] // RECORDER_SAMPLES)  # rounded up
         sample = order[::step]
         self._recorded.append(np.stack([places[sample], boot_ns[sample], log_ns[sample]]))
         return places[order], boot_ns[order]
 
-    def recorder(self) -> UtcReadings | None:
-        """log_time beside time since boot, of some messages of each block; None without any."""
+    def recorder_readings(self) -> UtcReadings | None:
+        """The recorder's log_time as UTC of times since boot, of some messages of each batch.
+
+        None if no message has a time since boot.
+        """
         if not self._recorded:
             return None
         places, boot_ns, log_ns = np.concatenate(self._recorded, axis=1)
@@ -144,21 +155,22 @@ class McapReader:
         )
 
     def release_topics(self) -> None:
-        """Free the memory of what was read of the topics; others may hold parts of it."""
+        """Forget the topics, so that the memory of their samples is freed with their last user."""
         self.topics.clear()
         self._subscriptions.clear()
 
     def _define(self, definition: Definition) -> None:
-        """Take a definition, of which the first with its number counts.
+        """Parse a definition and keep it, a channel with its topic if that is wanted.
 
-        Copies, as in every chunk, are passed over. A later one that differs is a contradiction, and
-        one that cannot be parsed is damage. The last statistics count.
+        Of several schemas or channels with one number the first is used: copies, as in every chunk,
+        are passed over, and a later one that differs is a contradiction. Of several statistics the
+        last are used. A definition that cannot be parsed is damage.
         """
         from mcap import records as library
         from mcap.data_stream import ReadDataStream
         from mcap.exceptions import McapError
 
-        if self._is_known(definition):
+        if self._is_skipped(definition):
             return
         kinds = {Opcode.SCHEMA: library.Schema, Opcode.CHANNEL: library.Channel}
         kind = kinds.get(definition.opcode, library.Statistics)
@@ -167,7 +179,7 @@ class McapReader:
         except (McapError, *_PARSE_ERRORS) as error:
             self.damage.add(
                 messages.definition_unreadable(
-                    where=self.damage.at(definition.at),
+                    where=self.damage.place_in_words(definition.place),
                     count=len(definition.content),
                     opcode=definition.opcode,
                     reason=str(error),
@@ -188,11 +200,14 @@ class McapReader:
             self.names[record.id] = record.topic
             self._subscribe(record)
 
-    def _is_known(self, definition: Definition) -> bool:
-        """Whether a definition need not be looked at: it is a copy, or too many contradict."""
+    def _is_skipped(self, definition: Definition) -> bool:
+        """Whether a definition is not parsed: it is a copy, or too many contradict earlier ones.
+
+        The content of the first definition of each kind and number is kept for that.
+        """
         number = definition.content[:2]  # of a schema or a channel; of statistics just two bytes
         first = self._contents.setdefault((definition.opcode, number), definition.content)
-        is_new = first is definition.content
+        is_new = first is definition.content  # not only equal: it was entered in the line before
         if is_new:
             return False
         is_copy = first == definition.content
@@ -204,9 +219,9 @@ class McapReader:
         name = ""
         encoding_of_schema = ""
         if schema is not None:
-            name = known_name(schema.name)
+            name = message_name(schema.name)
             encoding_of_schema = schema.encoding
-        self._note_encoding(channel.topic, channel.message_encoding, encoding_of_schema)
+        self._note_unread_encoding(channel.topic, channel.message_encoding, encoding_of_schema)
         if self.only is None:
             is_wanted = name in SCHEMAS or channel.message_encoding == "json"
         else:
@@ -231,11 +246,15 @@ class McapReader:
                 )
             self._subscriptions[channel.id] = _Subscription(self.topics[key], decoder)
 
-    def _note_encoding(self, topic: str, encoding: str, of_schema: str) -> None:
-        """Keep the encoding of a topic, and of its schema, if its messages cannot be read."""
-        if encoding == "json" or (encoding, of_schema) in READ_ENCODINGS:
+    def _note_unread_encoding(
+        self, topic: str, message_encoding: str, schema_encoding: str
+    ) -> None:
+        """Keep the encodings of a topic in ``unread_encodings`` if its messages cannot be read."""
+        if message_encoding == "json" or (message_encoding, schema_encoding) in READ_ENCODINGS:
             return
-        described = f"{encoding or 'no encoding'} with {of_schema or 'no'} definitions"
+        described = (
+            f"{message_encoding or 'no encoding'} with {schema_encoding or 'no'} definitions"
+        )
         self.unread_encodings.setdefault(described, topic)
 
     def _decoder(
@@ -245,10 +264,11 @@ class McapReader:
         name: str,
         spec: MessageMap,
     ) -> topics.Decoder | Exception | None:
-        """What decodes the messages of a channel, or the error of a schema that cannot be parsed.
+        """The decoder of the messages of a channel, or the error of a schema that cannot be parsed.
 
-        None where the encoding is not read, or the library for it is missing; that is entered.
-        Thousands of channels may share a schema: it is parsed once.
+        ``name`` and ``spec``: the key and the map of the messages in `SCHEMAS`. None where the
+        encoding is not read, or the library for it is missing. Thousands of channels may share a
+        schema: it is parsed once.
         """
         key = (channel.schema_id, channel.message_encoding)
         decoder = self._decoders.get(key)
@@ -272,9 +292,9 @@ class McapReader:
         name: str,
         spec: MessageMap,
     ) -> topics.Decoder | None:
-        """What decodes the messages of a channel; None where their encoding is not read.
+        """A new decoder of the messages of a channel; None where their encoding is not read.
 
-        JSON needs no schema; without one, messages of any other encoding cannot be read.
+        JSON needs no schema; messages of any other encoding cannot be read without a schema.
         """
         wanted = None if self.only else topics.paths_of(spec)
         encoding = channel.message_encoding
@@ -297,12 +317,12 @@ class McapReader:
         return None
 
     def _leave_unread(self, reason: Message) -> None:
-        """Enter why a topic is not read."""
+        """Enter why a topic is not read, in the ledger and in ``unread``."""
         self.unread.append(reason)
         self.ledger.add(reason)
 
     def report(self) -> int:
-        """Enter the damage; returns how many messages are missing."""
+        """Enter damage and losses in the ledger; returns how many messages are missing."""
         self.ledger.extend(self.damage.messages())
         if self._contradictions:
             self.ledger.add(

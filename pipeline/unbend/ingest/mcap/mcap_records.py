@@ -18,14 +18,14 @@ from unbend.ingest.mcap.message_batches import MessageBatch, MessageRecords, Mes
 from unbend.ingest.mcap.record_layout import (
     CHECKSUM,
     DEFINITIONS,
-    FOOT,
+    FIRST_PRIVATE_OPCODE,
+    FOOTER,
     LARGE_MESSAGE,
-    LAST,
+    LAST_OPCODE,
     MAGIC,
     MAX_DEFINITION,
     MESSAGE_START,
-    PRIVATE,
-    RECORD,
+    RECORD_HEAD,
     Definition,
     Opcode,
     Record,
@@ -37,7 +37,7 @@ from unbend.ingest.mcap.record_proofs import is_proved, next_proved_record
 from unbend.ingest.mcap.summary_definitions import summary_definitions
 
 SPAN = 4 << 20  # [bytes] of the file walked at once
-MAX_HEADER = 1 << 16  # [bytes] of the header record, by which a file with a damaged mark is found
+MAX_HEADER = 1 << 16  # [bytes] of a header record: a longer one does not show where records begin
 LISTED_ENDS = 2  # ends of the data that are checked; a damaged file may have a million
 
 
@@ -46,8 +46,8 @@ class _Span:
     """A span of the file, and the records that begin in it.
 
     begin, view : where it begins in the file, and its bytes.
-    starts : the places in ``view`` where records of small messages begin, which lie in it.
-    others : the other records that are read.
+    starts : the places in ``view`` where the records of small messages begin that end in it.
+    others : the other records of kinds that are read.
     following : where in the file the next span begins; None after the last.
     """
 
@@ -57,16 +57,16 @@ class _Span:
     others: list[Record] = field(default_factory=list)
     following: int | None = None
 
-    def drop_last_message_at(self, at: int) -> None:
-        """Remove the last small message, if it begins at this place of the file."""
-        if self.starts and self.begin + self.starts[-1] == at:
+    def drop_last_message_at(self, place: int) -> None:
+        """Remove the last small message from ``starts``, if it begins at this place of the file."""
+        if self.starts and self.begin + self.starts[-1] == place:
             self.starts.pop()
 
 
 class RecordWalk:
     """Yields the definitions and messages of a file; ``damage`` is filled on the way.
 
-    The definitions of the summary come first, if its checksum holds: they serve where those among
+    The definitions of the summary come first, if its checksum fits: they are used where those among
     the messages are damaged. So a definition may come several times.
     """
 
@@ -111,36 +111,45 @@ class RecordWalk:
     # The walk from record to record.
 
     def _first_record(self) -> int:
-        """Where the records begin. The mark before them, if damaged, may have lost bytes."""
+        """Where the first record begins: behind the mark of the format, `MAGIC`.
+
+        A damaged mark is entered as damage. It may have lost bytes, and the record begin earlier.
+        """
         if self.data[0 : len(MAGIC)] == MAGIC:
             first = len(MAGIC)
         else:
             first = self._first_after_damaged_mark()
-            where = self.damage.at(0)
+            where = self.damage.place_in_words(0)
             self.damage.add(messages.file_beginning_damaged(where=where, count=first))
         self._last_begin = first - 1  # the first record itself may be damaged
         return first
 
     def _first_after_damaged_mark(self) -> int:
-        """The last place, within the mark's length, of a header before another record; else 0."""
+        """Where the header record begins behind a damaged mark of at most its usual length.
+
+        That is the last place with a header record and another record behind it; 0 without any.
+        """
         first = 0
-        for place in range(len(MAGIC) + 1):
+        for place in range(len(MAGIC) + 1):  # up to that behind a mark of the usual length
             record = record_at(self.data, place)
             if record.opcode == Opcode.HEADER and record.length < MAX_HEADER:
                 following = self.data[record.end : record.end + 1]
-                if following and 0 < following[0] <= LAST:
+                if following and 0 < following[0] <= LAST_OPCODE:
                     first = place
         return first
 
     def _walk_span(self, begin: int) -> _Span:
-        """The span that begins at a place of the file, with its records."""
+        """Find the records of the span that begins at a place of the file, each by the one before.
+
+        Damage on the way is entered. ``following`` of the span is set.
+        """
         span = _Span(begin, self.data.array(begin, begin + SPAN))
         raw = raw_of(span.view)
-        unpack = RECORD.unpack_from
+        unpack = RECORD_HEAD.unpack_from
         place = 0
-        while place + RECORD.size <= len(raw):
+        while place + RECORD_HEAD.size <= len(raw):
             opcode, length = unpack(raw, place)
-            end = place + RECORD.size + length
+            end = place + RECORD_HEAD.size + length
             if opcode == Opcode.MESSAGE and length <= LARGE_MESSAGE and end <= len(raw):
                 span.starts.append(place)
                 self._last_begin = begin + place
@@ -155,42 +164,43 @@ class RecordWalk:
         if reaches_beyond or begins_record:
             span.following = following
         else:  # the file ends without a footer
-            left = self.data.size - following
-            self.damage.add(messages.no_footer(where=self.damage.at(following), count=left))
+            where = self.damage.place_in_words(following)
+            bytes_left = self.data.size - following
+            self.damage.add(messages.no_footer(where=where, count=bytes_left))
         return span
 
     def _take_other_record(self, span: _Span, record: Record) -> bool:
         """Take a record that is not a small message inside the span.
 
         Returns whether the span ends here: at damage, at the footer, or at a small message that
-        ends behind the span. Its ``following`` is then set.
+        ends behind the span. ``span.following`` is then set.
         """
-        is_possible = 0 < record.opcode <= LAST or record.opcode >= PRIVATE
+        is_possible = 0 < record.opcode <= LAST_OPCODE or record.opcode >= FIRST_PRIVATE_OPCODE
         if record.end > self.data.size or not is_possible:
             last_begin = self._last_begin  # `_resume` changes it
             span.following = self._resume(record)
-            if span.following is not None and span.following < record.at:
-                # Records lie inside the last message: its length was damaged.
+            if span.following is not None and span.following < record.begin:
+                # Records go on inside the last message: its length was damaged.
                 span.drop_last_message_at(last_begin)
             return True
         if record.opcode == Opcode.FOOTER:
             span.following = self._end_at_footer(record)
             return True
         if record.opcode == Opcode.MESSAGE and record.length <= LARGE_MESSAGE:
-            span.following = record.at  # it ends behind the span, and begins the next one
+            span.following = record.begin  # it ends behind the span, and begins the next one
             return True
         self._list_record(span, record)
         is_chunk = record.opcode == Opcode.CHUNK
-        if is_chunk and is_proved(self.data, record.at, self.channels):
+        if is_chunk and is_proved(self.data, record.begin, self.channels):
             self._last_begin = record.end - 1
         else:
-            self._last_begin = record.at
+            self._last_begin = record.begin
         return False
 
     def _list_record(self, span: _Span, record: Record) -> None:
-        """Add a record to the others of a span, if it is of a kind that is read.
+        """Add a record to ``span.others``, if it is of a kind that is read.
 
-        An end of the data is noted here: the summary begins behind it.
+        The place of a record that ends the data is kept too: the summary begins behind it.
         """
         if record.opcode == Opcode.DATA_END:
             self._data_end = record.end
@@ -202,20 +212,20 @@ class RecordWalk:
             span.others.append(record)
 
     def _end_at_footer(self, record: Record) -> int | None:
-        """Check the end of the file at a footer; returns None, as no record follows.
+        """Check the footer and the mark behind it; returns where records go on.
 
-        A footer of another length, or without room for the mark behind it, is damage: records then
-        go on at the place that is returned.
+        None behind an undamaged footer, as no record follows. A footer of another length, or
+        without room for the mark behind it, is damage: records may go on as behind other damage.
         """
-        mark = record.content + FOOT.size  # the mark of the format comes behind the footer
+        mark = record.content_begin + FOOTER.size  # the mark of the format comes behind the footer
         end = mark + len(MAGIC)
-        if record.length != FOOT.size or end > self.data.size:
+        if record.length != FOOTER.size or end > self.data.size:
             return self._resume(record)
-        where = self.damage.at(record.at)
+        where = self.damage.place_in_words(record.begin)
         if end < self.data.size or self.data[mark:end] != MAGIC:
             extra = self.data.size - end
             self.damage.add(messages.file_end_damaged(where=where, count=extra))
-        summary_start, _, _ = FOOT.unpack(self.data[record.content : mark])
+        summary_start, _, _ = FOOTER.unpack(self.data[record.content_begin : mark])
         if not self.damage.losses:  # else damage explains a summary elsewhere
             self._check_summary_start(where, summary_start)
         return None
@@ -234,23 +244,27 @@ class RecordWalk:
             )
 
     def _resume(self, record: Record) -> int | None:
-        """Enter damage that begins at a record; returns where records go on, None if nowhere."""
-        before = self._last_begin
-        place = next_proved_record(self.data, before + 1, self.channels)
+        """Enter the damage that shows at a record; returns where records go on, None if nowhere.
+
+        The place may be before ``record``: inside the record before, if the length of that is what
+        was damaged.
+        """
+        last_begin = self._last_begin
+        place = next_proved_record(self.data, last_begin + 1, self.channels)
         if place is None:
             self.damage.add(
                 messages.record_cut_off(
-                    where=self.damage.at(record.at),
-                    count=self.data.size - record.at,
+                    where=self.damage.place_in_words(record.begin),
+                    count=self.data.size - record.begin,
                     length=record.length,
                     opcode=record.opcode,
                 )
             )
             return None
-        # Where records go on before this one, they do so inside the last one: all of it is lost.
-        lost_from = record.at if place > record.at else before
+        # A place before this record is inside the last one: that is lost from its begin on.
+        lost_from = record.begin if place > record.begin else last_begin
         lost = place - lost_from
-        where = self.damage.at(min(record.at, place))
+        where = self.damage.place_in_words(min(record.begin, place))
         self.damage.add(messages.not_a_record(where=where, count=lost))
         self._last_begin = place
         return place
@@ -258,10 +272,10 @@ class RecordWalk:
     # The content of the records.
 
     def _read_span(self, span: _Span) -> Iterator[Definition | MessageRecords]:
-        """The content of the records of a span.
+        """Yield what the records of a span contain, and check the ends of the data.
 
-        Definitions come first, before the messages that they define; chunks and large messages, in
-        their order, come last.
+        Definitions come first, before the messages that they define; then small messages; chunks
+        and large messages, in their order, come last.
         """
         for record in span.others:
             if record.opcode in DEFINITIONS:
@@ -281,30 +295,33 @@ class RecordWalk:
         if record.length > MAX_DEFINITION:
             self.damage.add(
                 messages.definition_too_large(
-                    where=self.damage.at(record.at), count=record.length, opcode=record.opcode
+                    where=self.damage.place_in_words(record.begin),
+                    count=record.length,
+                    opcode=record.opcode,
                 )
             )
             return
-        content = self.data[record.content : record.end]
-        yield Definition(record.opcode, content, record.content)
+        content = self.data[record.content_begin : record.end]
+        yield Definition(record.opcode, content, record.content_begin)
 
     def _start_of_large_message(self, record: Record) -> MessageRecords:
-        """The beginning of a large message, as a record of its own."""
-        head = RECORD.pack(Opcode.MESSAGE, MESSAGE_START)
-        start = head + self.data[record.content : record.content + MESSAGE_START]
+        """The first `MESSAGE_START` bytes of a large message, as a record of that length."""
+        head = RECORD_HEAD.pack(Opcode.MESSAGE, MESSAGE_START)
+        start = head + self.data[record.content_begin : record.content_begin + MESSAGE_START]
         return MessageRecords(np.frombuffer(start, np.uint8), np.zeros(1, np.int64))
 
     def _check_data_end(self, record: Record) -> None:
         """Check a record that ends the data.
 
-        The first holds the checksum of all bytes before it; 0 is no checksum. A second is damage.
+        The first contains the checksum of all bytes before it, or 0 for no checksum. A second one
+        is damage.
         """
-        where = self.damage.at(record.at)
+        where = self.damage.place_in_words(record.begin)
         if self._data_end_checked:
             self.damage.add(messages.data_end_twice(where=where))
             return
         self._data_end_checked = True
-        end = record.content + min(record.length, CHECKSUM)
-        crc = int.from_bytes(self.data[record.content : end], "little")
-        if crc and checksum_of(self.data, 0, record.at) != crc:
+        end = record.content_begin + min(record.length, CHECKSUM)
+        crc = int.from_bytes(self.data[record.content_begin : end], "little")
+        if crc and checksum_of(self.data, 0, record.begin) != crc:
             self.damage.add(messages.data_checksum_fails(where=where))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.ingest.buffers import Bytes, gather
-from unbend.ingest.mcap.record_layout import MESSAGE
+from unbend.ingest.mcap.record_layout import MESSAGE_HEAD
 from unbend.units import Integers
 
 BATCH_BYTES = 4 << 20  # of messages decoded together
@@ -27,7 +27,7 @@ _LAST_NS = np.uint64(2**63 - 1)  # log_time is unsigned in the file; times insid
 
 
 class MessageRecords(NamedTuple):
-    """The bytes of some records, and the places in them where those of messages begin."""
+    """Bytes of some records, and the (n,) places in ``data`` where those of messages begin."""
 
     data: Bytes
     starts: Integers
@@ -35,15 +35,15 @@ class MessageRecords(NamedTuple):
 
 @dataclass(frozen=True)
 class Messages:
-    """Messages in the order of the file; of a large message only the beginning is there."""
+    """(n,) messages in the order of the file; of a large message only the beginning is there."""
 
     data: Bytes
-    channel: NDArray[np.uint16]
-    sequence: NDArray[np.uint32]
-    log_time: Integers
+    channel: NDArray[np.uint16]  # number of the channel
+    sequence: NDArray[np.uint32]  # count by the recorder, 0 if it does not count
+    log_time: Integers  # when the recorder received the message [Unix ns]
     begin: Integers  # place of the encoded message in ``data``
-    length: Integers  # of the encoded message
-    short: int  # how many records were too short to be messages
+    length: Integers  # of the encoded message [bytes]
+    too_short: int  # how many records were too short to be messages
 
     def __len__(self) -> int:
         return int(self.channel.shape[0])
@@ -57,7 +57,7 @@ class MessageBatch:
         self._waiting_bytes = 0
 
     def add(self, records: MessageRecords) -> Iterator[Messages]:
-        """Put records to those that wait; yields all that wait when there are enough."""
+        """Let records wait; when `BATCH_BYTES` wait, yield all of them as one batch."""
         self._waiting.append(records)
         self._waiting_bytes += records.data.shape[0]
         if self._waiting_bytes >= BATCH_BYTES:
@@ -81,18 +81,21 @@ class MessageBatch:
 
 
 def _messages_at(data: Bytes, starts: Integers) -> Messages:
-    """The messages whose records begin at these places; too short records are only counted."""
+    """The messages of the records that begin at these places of ``data``.
+
+    Records too short to be a message are only counted.
+    """
     size = _MESSAGE_HEADER.itemsize
-    inside = starts[starts + size <= data.shape[0]]
-    heads = gather(data, inside, size).view(_MESSAGE_HEADER)
-    is_whole = heads["length"].astype(np.int64) >= MESSAGE.size
+    with_head = starts[starts + size <= data.shape[0]]
+    heads = gather(data, with_head, size).view(_MESSAGE_HEADER)
+    is_whole = heads["length"].astype(np.int64) >= MESSAGE_HEAD.size
     head = heads[is_whole]
     return Messages(
         data=data,
         channel=head["channel"].copy(),
         sequence=head["sequence"].copy(),
         log_time=np.minimum(head["log_time"], _LAST_NS).astype(np.int64),
-        begin=inside[is_whole] + size,
-        length=head["length"].astype(np.int64) - MESSAGE.size,
-        short=starts.shape[0] - int(np.count_nonzero(is_whole)),
+        begin=with_head[is_whole] + size,
+        length=head["length"].astype(np.int64) - MESSAGE_HEAD.size,
+        too_short=starts.shape[0] - int(np.count_nonzero(is_whole)),
     )

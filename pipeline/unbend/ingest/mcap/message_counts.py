@@ -11,7 +11,7 @@ from unbend.messages import Ledger
 from unbend.units import Integers, Rows
 
 CHANNEL_NUMBERS = 1 << 16  # they are 16 bits wide
-LISTED_TOPICS = 8  # whose counts differ from the statistics, in the ledger
+LISTED_TOPICS = 8  # of those with other counts than the statistics, in the ledger
 
 
 class MessageCounts:
@@ -36,22 +36,23 @@ class MessageCounts:
         batch: Messages,
         names: Mapping[int, str],
     ) -> list[int]:
-        """Count some messages; returns the channels among theirs that ``names`` has.
+        """Count the messages of a batch; returns the numbers of its channels that are defined.
 
-        Messages of other channels, and records too short to be messages, are counted as orphans.
+        ``names``: the topics of the channels defined so far, by number. Messages of other channels,
+        and records too short to be messages, are counted as orphans.
         """
         counts = np.bincount(batch.channel, minlength=CHANNEL_NUMBERS)
-        named = []
-        self.orphans += batch.short
+        defined = []
+        self.orphans += batch.too_short
         for number in np.flatnonzero(counts).tolist():
             if number in names:
-                named.append(number)
+                defined.append(number)
             else:
                 self.orphans += int(counts[number])
-        self.counts[named] += counts[named]
+        self.counts[defined] += counts[defined]
         if len(batch):
             self._take_sequences(batch)
-        return named
+        return defined
 
     def _take_sequences(self, batch: Messages) -> None:
         """Count, for each channel, single steps and gaps of the numbers from message to message."""
@@ -81,7 +82,10 @@ class MessageCounts:
         np.add.at(self._missing_numbers, channel[is_gap], missing)
 
     def by_name(self, names: Mapping[int, str]) -> dict[str, int]:
-        """How many messages each topic has; topics without any are left out."""
+        """How many messages each topic has; topics without any are left out.
+
+        ``names``: the topics of the channels, by number. Channels of one topic count together.
+        """
         result: Counter[str] = Counter()
         for number in np.flatnonzero(self.counts).tolist():
             topic = names[number]
@@ -98,9 +102,10 @@ class MessageCounts:
     ) -> int:
         """Report missing messages; returns how many are missing.
 
-        Missing are the numbers that are skipped, or, if that is more, what the statistics of the
-        log state beyond the messages read. ``damaged``: parts of the log could not be read, and its
-        statistics may be among them; only else it is reported that there are none.
+        Missing are the sequence numbers that are skipped, or, if that is more, the messages that
+        the statistics of the log count beyond those read. ``names``: topics by channel number.
+        ``damaged``: parts of the log could not be read; missing statistics are then not reported,
+        because they may have been among these parts.
         """
         if self.orphans:
             orphans = messages.no_channel_of_messages(file=where, count=self.orphans)
@@ -129,10 +134,10 @@ class MessageCounts:
         names: Mapping[int, str],
         ledger: Ledger,
     ) -> int:
-        """Report the messages that are missing by their numbers; returns how many.
+        """Report the messages that are missing by their sequence numbers; returns how many.
 
-        Channels are left out whose numbers do not count the messages: in these, fewer than half of
-        the messages have the number after that of the message before.
+        A channel in which fewer than half of the messages have the number after that of the message
+        before is left out: its numbers do not count messages.
         """
         skipped = 0
         for number in np.flatnonzero(self._missing_numbers > 0).tolist():
@@ -145,7 +150,7 @@ class MessageCounts:
         return skipped
 
     def _differing_channels(self) -> list[int]:
-        """The channels with another count than the log's statistics state."""
+        """The numbers of the channels with another count than the log's statistics state."""
         if not self.stated:
             return []
         with_messages = np.flatnonzero(self.counts).tolist()

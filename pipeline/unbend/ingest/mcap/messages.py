@@ -1,4 +1,4 @@
-"""What the reader of MCAP logs says: codes, and one function for each message and refusal."""
+"""Messages of the reader of MCAP logs: codes, and a function for each message and refusal."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,7 +29,7 @@ def file_beginning_damaged(*, where: str, count: int) -> Message:
 
 
 def file_end_damaged(*, where: str, count: int) -> Message:
-    """Behind the footer stands something else than the mark."""
+    """The mark of the format does not follow the footer, or other bytes follow the mark."""
     return loss(
         LOG_BAD_BYTES,
         "{extra} follow the end of the log, or its mark is damaged",
@@ -41,7 +41,7 @@ def file_end_damaged(*, where: str, count: int) -> Message:
 
 
 def not_a_record(*, where: str, count: int) -> Message:
-    """Bytes between two records that are proved."""
+    """Bytes between two proved records are not a record."""
     return loss(
         LOG_BAD_BYTES,
         "{count} bytes are not a record, or are part of a record with a damaged length",
@@ -107,7 +107,7 @@ def chunk_of_another_size(*, where: str, count: int, size: int, stated: int) -> 
 
 
 def chunk_not_records(*, where: str, count: int, size: int) -> Message:
-    """Bytes inside an inflated chunk are no record."""
+    """Bytes inside an inflated chunk are not a record."""
     return loss(
         LOG_BAD_BYTES,
         "{count} of {size} bytes of a chunk are not a record",
@@ -119,7 +119,7 @@ def chunk_not_records(*, where: str, count: int, size: int) -> Message:
 
 
 def chunk_end_not_records(*, where: str, count: int, size: int) -> Message:
-    """The end of a large chunk holds no record."""
+    """The last bytes of a large chunk are not a record."""
     return loss(
         LOG_BAD_BYTES,
         "the last {count} of {size} bytes of a chunk are not a record",
@@ -130,7 +130,7 @@ def chunk_end_not_records(*, where: str, count: int, size: int) -> Message:
 
 
 def chunk_checksum_fails(*, where: str, count: int) -> Message:
-    """The checksum of a chunk is not that of what it inflates to."""
+    """The checksum in the head of a chunk is not that of its inflated records."""
     return loss(LOG_CRC, "a chunk fails its checksum", where=where, count=count)
 
 
@@ -144,7 +144,7 @@ def summary_checksum_fails(*, where: str) -> Message:
 
 
 def data_checksum_fails(*, where: str) -> Message:
-    """The checksum at the end of the data is not theirs."""
+    """The checksum at the end of the data is not that of the data."""
     return loss(LOG_CRC, "the data section fails its checksum", where=where)
 
 
@@ -174,7 +174,7 @@ def record_cut_off(*, where: str, count: int, length: int, opcode: int) -> Messa
 
 
 def more_places(*, like: Message, places: int, count: int) -> Message:
-    """Further damage of a kind whose first places are named one by one."""
+    """Further damage of the kind of ``like``, the last of those that are named one by one."""
     values = {"places": Counted(places, "more place")}
     return replace(like, text="{places} like that", count=count, values=values)
 
@@ -185,7 +185,10 @@ def more_places(*, like: Message, places: int, count: int) -> Message:
 def chunk_too_large(
     *, where: str, count: int, packed: int, size: int, largest: int, ratio: int, free: int
 ) -> Message:
-    """A chunk inflates to more than any recorder writes; limits in bytes and as a ratio."""
+    """A chunk would inflate to more than any recorder writes.
+
+    The limit is ``largest`` [bytes], and beyond ``free`` [bytes] ``ratio`` times the packed size.
+    """
     return loss(
         LOG_TOO_LARGE,
         (
@@ -205,7 +208,7 @@ def chunk_too_large(
 def chunks_too_large(
     *, where: str, count: int, packed: int, size: int, left: int, limit: int
 ) -> Message:
-    """All chunks together inflate to more than a file of this size may hold."""
+    """All chunks together would inflate to more bytes than a file of this size may have."""
     return loss(
         LOG_TOO_LARGE,
         (
@@ -234,7 +237,7 @@ def definition_too_large(*, where: str, count: int, opcode: int) -> Message:
 
 
 def too_many_messages(*, where: str, count: int, rows: int, left: int, limit: int) -> Message:
-    """The chunks hold more messages than a file of this size may."""
+    """All chunks together contain more messages than a file of this size may have."""
     return loss(
         LOG_TOO_LARGE,
         (
@@ -250,7 +253,7 @@ def too_many_messages(*, where: str, count: int, rows: int, left: int, limit: in
 
 
 def objects_too_large(*, topic: str, count: int, limit: int) -> Message:
-    """Messages of JSON or protobuf, parsed one by one, inflate to more than the file allows."""
+    """Messages of JSON or protobuf, parsed one by one, exceed what a file of this size may have."""
     return loss(
         LOG_TOO_LARGE,
         "{count} messages are not parsed: all messages of JSON and protobuf of a file of this size "
@@ -264,7 +267,7 @@ def objects_too_large(*, topic: str, count: int, limit: int) -> Message:
 
 
 def too_many_elements(*, file: str, count: int) -> Message:
-    """Messages hold more texts, or elements of sequences, than a log of this size may."""
+    """Messages have more texts and elements of sequences than a log of this size may have."""
     return loss(
         LOG_TOO_LARGE,
         (
@@ -317,7 +320,7 @@ def summary_elsewhere(*, where: str, stated: int, found: int) -> Message:
 
 
 def data_end_missing(*, where: str, stated: int) -> Message:
-    """The log has a footer, but no record says that the data end."""
+    """The log has a footer, but no record that ends the data."""
     return loss(
         LOG_INCONSISTENT,
         (
@@ -330,7 +333,7 @@ def data_end_missing(*, where: str, stated: int) -> Message:
 
 
 def data_end_twice(*, where: str) -> Message:
-    """A second record says that the data end."""
+    """A second record ends the data."""
     return loss(
         LOG_INCONSISTENT,
         "the data end a second time: their checksum here is not checked",
@@ -339,7 +342,7 @@ def data_end_twice(*, where: str) -> Message:
 
 
 def definitions_differ(*, file: str, count: int, examples: Sequence[str]) -> Message:
-    """One number is defined twice, in different ways."""
+    """Schemas or channels of one number are defined twice, in different ways."""
     return loss(
         LOG_INCONSISTENT,
         "{count} definitions come twice and differ ({examples}): the first is used",
@@ -351,7 +354,7 @@ def definitions_differ(*, file: str, count: int, examples: Sequence[str]) -> Mes
 
 
 def statistics_differ(*, file: str, read: int, stated: int, topics: Sequence[str]) -> Message:
-    """The log's statistics state other counts than were read; ``topics``: where they differ."""
+    """The log's statistics state other counts than were read; ``topics``: those that differ."""
     differ = f"; they differ for {', '.join(topics)}" if topics else ""
     return loss(
         LOG_INCONSISTENT,

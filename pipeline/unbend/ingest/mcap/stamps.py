@@ -1,4 +1,4 @@
-"""Times of the messages of MCAP logs, in any form."""
+"""Times of the messages of MCAP logs: their own stamps, in any form, or the recorder's."""
 
 import re
 from collections.abc import Mapping
@@ -19,14 +19,14 @@ from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask, Rows, whole_num
 
 Columns = Mapping[str, NDArray[Any]]
 
-# Columns beside the fields of messages.
+# Columns that are added to the fields of messages.
 STAMP = "\0stamp_ns"  # a message's own time
 LOG_TIME = "\0log_ns"  # that of the recorder
 SEQUENCE = "\0sequence"  # its number
 
 _LAST_NS = 2**63 - 1
 _LAST_S = 1 << 32  # until 2106
-_MOST_PART_NS = 1 << 32  # of a second, which the field of 32 bits may exceed
+_MOST_PART_NS = 1 << 32  # [ns] beyond the second: the field of 32 bits may exceed 1 s
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ISO = re.compile(
     r"(?P<seconds>\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(?P<fraction>\d+))?"
@@ -34,13 +34,13 @@ _ISO = re.compile(
 )
 _DIGITS_OF_NS = 9
 
-# A bare number is Unix time in the unit [ns] in which it lies between 1973 and 2286.
+# The unit [ns] of a bare number of Unix time, by its least size: so that it is from 1973 to 2286.
 _UNITS_NS = ((10**17, 1), (10**14, 10**3), (10**11, 10**6), (0, 10**9))
 _LARGEST_NUMBER = 1e19  # more is no time in any of them
 
 
 def stamp_of(value: Any) -> int:
-    """Unix time [ns] of a time in JSON or protobuf; 0 where the value is no time.
+    """Unix time [ns] of a time in JSON or protobuf; 0 if the value is not a time.
 
     A time is an object with seconds and nanoseconds, a number of seconds, ms, us or ns (its size
     shows which), or a text as in RFC 3339.
@@ -55,14 +55,14 @@ def stamp_of(value: Any) -> int:
     elif isinstance(value, int | float):
         time_ns = _ns_of_number(value)
     else:
-        seconds = _first(value, ("sec", "secs", "seconds"))
-        part_ns = _first(value, ("nsec", "nsecs", "nanosec", "nanos"))
+        seconds = _first_member(value, ("sec", "secs", "seconds"))
+        part_ns = _first_member(value, ("nsec", "nsecs", "nanosec", "nanos"))
         time_ns = int(seconds) * NANOSECONDS_PER_SECOND + int(part_ns)
     return min(max(time_ns, 0), _LAST_NS)
 
 
 def _ns_of_text(text: str) -> int:
-    """Unix time [ns] of RFC 3339; 0 of another text, and of a date that does not exist."""
+    """Unix time [ns] of a text as in RFC 3339; 0 for other texts and dates that do not exist."""
     match = _ISO.fullmatch(text.strip())
     if not match:
         return 0
@@ -80,7 +80,7 @@ def _ns_of_text(text: str) -> int:
 
 
 def _ns_of_number(value: float) -> int:
-    """Unix time [ns] of a number in any unit; 0 of what is no time."""
+    """Unix time [ns] of a number of s, ms, us or ns; 0 for NaN and for numbers beyond all units."""
     if not abs(value) < _LARGEST_NUMBER:  # also not a number
         return 0
     unit_ns = next(unit for least, unit in _UNITS_NS if abs(value) >= least)
@@ -88,8 +88,8 @@ def _ns_of_number(value: float) -> int:
     return whole * unit_ns + round((value - whole) * unit_ns)
 
 
-def _first(value: Any, names: tuple[str, ...]) -> Any:
-    """The value of the first of some members that an object or a dict has; 0 without any."""
+def _first_member(value: Any, names: tuple[str, ...]) -> Any:
+    """The value of the first of these names that a dict or object has, and not None; 0 without."""
     for name in names:
         member = value.get(name) if isinstance(value, dict) else getattr(value, name, None)
         if member is not None:
@@ -97,14 +97,16 @@ def _first(value: Any, names: tuple[str, ...]) -> Any:
     return 0
 
 
-def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None:
-    """The rows in the order of their (n,) numbers; None where they need or allow no new order.
+def order_by_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None:
+    """The rows of (n,) messages sorted by their sequence numbers; None if they stay as they are.
 
-    - Times that are in order need none.
-    - Numbers that repeat allow none: a recorder has counted anew.
-    - Numbers whose order does not put the times in order allow none: a clock was set.
+    They stay as they are
 
-    >>> in_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
+    - if their times are in order;
+    - if a number repeats, because a recorder has counted anew;
+    - if the order of the numbers does not put the times in order, because a clock was set.
+
+    >>> order_by_sequence(np.array([0, 1, 4, 2], np.uint32), np.array([10, 11, 14, 12]))
     array([0, 1, 3, 2])
     """
     if bool(np.all(time_ns[1:] >= time_ns[:-1])):
@@ -118,10 +120,10 @@ def in_sequence(sequence: NDArray[np.uint32], time_ns: TimeArray) -> Rows | None
 
 
 class OwnTimes(NamedTuple):
-    """The times [ns] that messages carry, 0 without.
+    """(n,) times [ns] that messages carry, 0 for messages without.
 
-    ``from_integer``: each was one integer of microseconds, since a boot or since 1970; False for a
-    Time with seconds and nanoseconds, and for messages without a time.
+    ``from_integer``: True if each was one integer of microseconds, since a boot or since 1970;
+    False for a Time with seconds and nanoseconds (since 1970), and for messages without a time.
     """
 
     time_ns: TimeArray
@@ -129,7 +131,7 @@ class OwnTimes(NamedTuple):
 
 
 def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
-    """The times that ``count`` messages carry, by the first of these that their columns have.
+    """The times that ``count`` messages carry, from the first of these that their columns have:
 
     - `STAMP`, which a decoder made of the time in the message.
     - ``time_field`` with the parts of a Time of ROS.
@@ -154,16 +156,16 @@ def own_times(columns: Columns, time_field: str, count: int) -> OwnTimes:
 
 
 def since_boot(stamp_ns: TimeArray) -> Mask:
-    """Which stamps count from a boot: not 0, which is no time, nor large ones, of Unix time."""
+    """Which stamps [ns] count from a boot: those above 0 (no time) and below 2001 in Unix time."""
     return np.asarray((stamp_ns > 0) & (stamp_ns < UNIX_NS_FROM), np.bool_)
 
 
 def good_rows(places: Integers, stamp_ns: TimeArray, clock: BootClock) -> Mask:
     """Which messages of a topic, at (n,) places and stamps [ns], have a time that fits the log.
 
-    Stamps of Unix time, and of no time, always do. A stamp since boot that fits none of its
-    neighbours in the log may be of a message that came late: it is good if it lies between its
-    neighbours of the same topic, and within the times of the boot.
+    Stamps of Unix time and stamps of 0, which are none, always fit. A stamp since boot that is
+    stray among its neighbours in the log may be of a message that came late: it fits if it is
+    between its neighbours of the same topic, and within the times of the boot.
     """
     line = clock.line
     is_since_boot = since_boot(stamp_ns)
@@ -180,17 +182,20 @@ def good_rows(places: Integers, stamp_ns: TimeArray, clock: BootClock) -> Mask:
         bounds_ns = np.concatenate([[earliest_ns], stamp_ns[neighbours], [latest_ns]])
         rows = misfits[boot[misfits] == number]
         bound_before = np.searchsorted(neighbours, rows)
-        is_good[rows] = _lie_between(stamp_ns[rows], bounds_ns, bound_before)
+        is_good[rows] = _are_between(stamp_ns[rows], bounds_ns, bound_before)
     return is_good
 
 
-def _lie_between(stamp_ns: TimeArray, bounds_ns: TimeArray, bound_before: Rows) -> Mask:
-    """Which (n,) stamps lie between the bound of number ``bound_before`` (n,) and the next one."""
+def _are_between(stamp_ns: TimeArray, bounds_ns: TimeArray, bound_before: Rows) -> Mask:
+    """Which (n,) stamps are between the bound in row ``bound_before`` (n,) and the next bound."""
     return (bounds_ns[bound_before] < stamp_ns) & (stamp_ns < bounds_ns[bound_before + 1])
 
 
 class MessageTimes(NamedTuple):
-    """UTC [ns] and boot of messages, and how many have no time of their own: the recorder's."""
+    """UTC [ns] and boot of (n,) messages.
+
+    ``unstamped``: how many have no time of their own, and therefore that of the recorder.
+    """
 
     time_ns: TimeArray
     boot: NDArray[np.int16]
@@ -206,9 +211,11 @@ def times_of(
     ledger: Ledger,
     topic: str,
 ) -> MessageTimes:
-    """The times of the messages of a topic: their stamps, or the recorder's where they have none.
+    """The times of (n,) messages of a topic: their stamps, or the recorder's where these are 0.
 
-    ``places`` of messages whose stamps are in microseconds, maybe since a boot; None of others.
+    ``places`` in the log, if the stamps were integers of microseconds (`OwnTimes`), which may count
+    from a boot; None if all stamps are Unix time. ``log_ns``: the recorder's times. Messages
+    without a stamp, and stamps before 2001, are entered in the ledger.
     """
     if places is None:
         is_since_boot = np.zeros(stamp_ns.shape, np.bool_)

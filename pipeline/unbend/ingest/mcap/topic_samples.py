@@ -1,4 +1,4 @@
-"""Which messages of MCAP logs are wanted, and what was read of them: columns in SI, times."""
+"""The wanted messages of MCAP logs, and what was read of them: columns in SI units, times."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -23,14 +23,14 @@ from unbend.ingest.field_maps import (
     message_maps,
 )
 from unbend.ingest.mcap import messages
-from unbend.ingest.mcap.ros2_definitions import short
+from unbend.ingest.mcap.ros2_definitions import short_name
 from unbend.ingest.mcap.stamps import (
     LOG_TIME,
     SEQUENCE,
     STAMP,
     Columns,
     good_rows,
-    in_sequence,
+    order_by_sequence,
     since_boot,
     times_of,
 )
@@ -49,7 +49,7 @@ _STAMP_FIELDS = {"mavros_msgs/CamIMUStamp": "frame_stamp"}
 
 
 def _schemas() -> dict[str, MessageMap]:
-    """The wanted messages by name; those of ROS 2 have their time in the header."""
+    """The maps of the wanted messages by name; those of ROS 2 have their time in the header."""
     schemas = {}
     for name, spec in message_maps("ros").items():
         time_field = _STAMP_FIELDS.get(name, "header.stamp")
@@ -62,7 +62,7 @@ def _schemas() -> dict[str, MessageMap]:
 
 SCHEMAS: Mapping[str, MessageMap] = _schemas()
 
-# JSON of a schema of the user's own: a time and a value, of a role only when it is named.
+# JSON of any other schema: a time and a value, which has a role only if the mission names one.
 PLAIN_JSON = MessageMap((FieldColumn("value", ("value",)),))
 # Texts that belong to each event, and where they may be.
 LABELS: Mapping[str, tuple[str, ...]] = {
@@ -71,23 +71,23 @@ LABELS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def known_name(schema: str) -> str:
-    """The name of a message in `SCHEMAS`, whatever the encoding writes between its parts.
+def message_name(schema: str) -> str:
+    """The name of a schema as `SCHEMAS` has it: encodings separate its parts in different ways.
 
-    >>> known_name("sensor_msgs::msg::NavSatFix"), known_name("foxglove_msgs/msg/RawImage")
+    >>> message_name("sensor_msgs::msg::NavSatFix"), message_name("foxglove_msgs/msg/RawImage")
     ('sensor_msgs/NavSatFix', 'foxglove.RawImage')
     """
-    return short(schema.replace("::", "/")).replace("foxglove_msgs/", "foxglove.")
+    return short_name(schema.replace("::", "/")).replace("foxglove_msgs/", "foxglove.")
 
 
-def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
-    """The columns of a message as the package uses them, from those that were decoded.
+def converted_columns(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
+    """The columns of messages as the package uses them, from the decoded fields in SI units.
 
-    - Attitudes follow the package's convention. An Imu whose first covariance is -1 has none
+    - Attitudes follow the package's convention. An Imu with -1 as first covariance has none
       (sensor_msgs/Imu).
-    - The value of a DebugValue is the integer where the message says that it is one.
+    - The value of a DebugValue is the integer where the message has its type.
     - A status of ROS becomes a fix as MAVLink counts it: 3D or none.
-    - Variances become sigmas. A NavSatFix whose covariance type is 0 does not know its accuracy.
+    - Variances become sigmas. The accuracy of a NavSatFix with the covariance type 0 is unknown.
     """
     result = dict(columns)
     if schema.endswith("/GimbalDeviceAttitudeStatus") and "flags" in result:
@@ -98,17 +98,20 @@ def finished(schema: str, columns: Mapping[str, Array]) -> dict[str, Array]:
         if kind is not None and integer is not None:
             result["value"] = np.where(kind == _NAMED_VALUE_INT, integer, result["value"])
     if "ros_w" in result:
-        _turn_ros_attitude(result)
+        _replace_ros_attitude(result)
     if "status" in result:
         has_fix = result.pop("status") >= _ROS_FIX
         result["fix"] = np.where(has_fix, float(LOWEST_FIX), 0.0)
     if "covariance_type" in result:
-        _add_sigmas(result)
+        _replace_variances(result)
     return result
 
 
-def _turn_ros_attitude(columns: dict[str, Array]) -> None:
-    """Replace the attitude of ROS by that of the package, in the same memory."""
+def _replace_ros_attitude(columns: dict[str, Array]) -> None:
+    """Replace the attitude of ROS (ENU, FLU) by that of the package (NED, FRD), in the same memory.
+
+    NaN where the message has no attitude.
+    """
     components = [columns.pop(f"ros_{axis}") for axis in "wxyz"]
     replace_in_blocks(ned_frd_of_enu_flu, components)
     first_covariance = columns.pop("covariance_0", None)
@@ -119,8 +122,8 @@ def _turn_ros_attitude(columns: dict[str, Array]) -> None:
     columns.update(zip(("q_w", "q_x", "q_y", "q_z"), components, strict=True))
 
 
-def _add_sigmas(columns: dict[str, Array]) -> None:
-    """Replace the variances of a NavSatFix by sigmas; NaN where the accuracy is unknown."""
+def _replace_variances(columns: dict[str, Array]) -> None:
+    """Replace the variances [m2] of a NavSatFix by sigmas; NaN where the accuracy is unknown."""
     covariance_type = columns.pop("covariance_type")
     is_known = covariance_type > 0.0
     variances = []
@@ -142,26 +145,35 @@ def _uint32_store() -> ColumnStore:
 
 @dataclass
 class TopicSamples:
-    """What was read of one topic, or of one name in it."""
+    """What was read of one topic, or of one name in its messages: a row for each message.
+
+    from_integer : whether the stamps were integers of microseconds (see `OwnTimes`).
+    stamp_ns : the messages' own times, 0 without.
+    places : of the messages in the log, only if ``from_integer``.
+    sequence : the recorder's numbers of the messages, only if not ``from_integer``.
+    log_ns : the first row of each block with messages without a stamp, and the recorder's times of
+        all messages of the block.
+    utc_us : UTC that the messages have in another field than their own time.
+    labels : texts that belong to events, by the names of `LABELS`.
+    """
 
     name: str
     source: Source
     spec: MessageMap
-    from_integer: bool = False  # stamps were integers of microseconds (see `OwnTimes`)
-    stamp_ns: ColumnStore = field(default_factory=_int64_store)  # of the messages, 0 without
-    places: ColumnStore = field(default_factory=_int64_store)  # in the whole log, if from_integer
-    sequence: ColumnStore = field(default_factory=_uint32_store)  # numbers of the other messages
+    from_integer: bool = False
+    stamp_ns: ColumnStore = field(default_factory=_int64_store)
+    places: ColumnStore = field(default_factory=_int64_store)
+    sequence: ColumnStore = field(default_factory=_uint32_store)
     log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
-    """The recorder's times of blocks in which messages have no stamp, and the block's first row."""
-    utc_us: ColumnStore = field(default_factory=_int64_store)  # beside the time since boot
+    utc_us: ColumnStore = field(default_factory=_int64_store)
     labels: dict[str, list[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.columns = ColumnStores(self.spec)
 
     def add(self, columns: Columns) -> None:
-        """Add the next messages, as decoded."""
-        before = len(self.stamp_ns)
+        """Add the next messages: their decoded fields, and the columns of their times."""
+        rows_before = len(self.stamp_ns)
         count = columns[STAMP].shape[0]
         self.stamp_ns.add(columns[STAMP])
         if self.from_integer:
@@ -170,21 +182,22 @@ class TopicSamples:
             self.sequence.add(columns[SEQUENCE])
         some_without_stamp = bool((columns[STAMP] == 0).any())
         if some_without_stamp:
-            self.log_ns.append((before, columns[LOG_TIME]))
+            self.log_ns.append((rows_before, columns[LOG_TIME]))
         utc_field = UTC_FIELD if self.spec.position else CAPTURE_UTC_FIELD
         utc = columns.get(utc_field)
         if utc is not None and is_number(utc) and utc.dtype.kind in "iu":
             self.utc_us.add(microseconds(utc))
         numbers = {name: column for name, column in columns.items() if is_number(column)}
         values = extract(numbers, self.spec.columns)
-        self.columns.add(finished(self.source.message, values), count)
+        self.columns.add(converted_columns(self.source.message, values), count)
         if self.spec.event:
-            self._add_labels(columns, before, count)
+            self._add_labels(columns, rows_before, count)
 
-    def _add_labels(self, columns: Columns, before: int, count: int) -> None:
+    def _add_labels(self, columns: Columns, rows_before: int, count: int) -> None:
         """Add the texts of the next ``count`` exposures, "" where they have none.
 
-        ``before``: how many exposures precede them.
+        ``rows_before``: how many exposures precede them. A label begins with the first block that
+        has one of its fields.
         """
         for name, paths in LABELS.items():
             path = next((path for path in paths if path in columns), None)
@@ -195,17 +208,17 @@ class TopicSamples:
                 texts = [""] * count
             else:
                 continue
-            self.labels.setdefault(name, [""] * before).extend(texts)
+            self.labels.setdefault(name, [""] * rows_before).extend(texts)
 
     def stamps(self, line: Timeline) -> tuple[Integers, TimeArray]:
-        """Places and times since boot [ns] of the messages that count it."""
+        """Places and times since boot [ns] of the messages that have one, without stray stamps."""
         places = _copied(self.places)
         stamp_ns = _copied(self.stamp_ns)
         good = since_boot(stamp_ns) & line.good(places)
         return places[good], stamp_ns[good]
 
     def utc_readings(self) -> UtcReadings | None:
-        """UTC beside the time since boot in these messages; None where they have none."""
+        """The UTC and the time since boot of these messages; None if they do not have both."""
         if not self.from_integer or not len(self.utc_us):
             return None
         utc_us = _copied(self.utc_us)
@@ -222,10 +235,10 @@ class TopicSamples:
         )
 
     def rows(self, clock: BootClock, ledger: Ledger) -> tuple[DecodedRows, int]:
-        """All rows, and how many of the messages had no time of their own; the samples are emptied.
+        """All rows, and how many of them have the recorder's time; the samples are emptied.
 
-        The rows are never sorted by log_time: a clock that was set back would shuffle parts of the
-        flight.
+        Rows with stray stamps are dropped. The rows are not sorted by log_time: a clock that was
+        set back would shuffle parts of the flight.
         """
         stamp_ns = self.stamp_ns.whole()
         log_ns = np.zeros(stamp_ns.shape, np.int64)
@@ -243,7 +256,7 @@ class TopicSamples:
             labels={name: tuple(texts) for name, texts in self.labels.items()},
         )
         if places is None:
-            rows = _in_sequence(rows, self.sequence.whole(), ledger)
+            rows = _sorted_by_sequence(rows, self.sequence.whole(), ledger)
         else:
             is_stray = ~good_rows(places, stamp_ns, clock)
             rows = without_stray(rows, is_stray, ledger)
@@ -252,9 +265,11 @@ class TopicSamples:
         return rows, times.unstamped
 
 
-def _in_sequence(rows: DecodedRows, sequence: NDArray[np.uint32], ledger: Ledger) -> DecodedRows:
-    """The rows in the order of their numbers, where that puts their times right."""
-    order = in_sequence(sequence, rows.time_ns)
+def _sorted_by_sequence(
+    rows: DecodedRows, sequence: NDArray[np.uint32], ledger: Ledger
+) -> DecodedRows:
+    """The rows in the order of `order_by_sequence`, which is reported; else as they are."""
+    order = order_by_sequence(sequence, rows.time_ns)
     if order is None:
         return rows
     ledger.add(
@@ -269,5 +284,5 @@ def _in_sequence(rows: DecodedRows, sequence: NDArray[np.uint32], ledger: Ledger
 
 
 def _copied(store: ColumnStore) -> NDArray[Any]:
-    """All rows of a store, which stays as it is."""
+    """A copy of all rows of a store, which is not emptied."""
     return np.concatenate([np.empty(0, store.dtype), *store.blocks()])

@@ -34,25 +34,27 @@ MAX_NAMES = 1000  # series that the names in the messages of a topic may make; u
 
 
 class Decoded(NamedTuple):
-    """Messages of one definition that could be decoded, by their rows among those handed over.
+    """Messages of one definition that could be decoded.
 
-    ``odd``: how many wanted values are not numbers, and became NaN. ``unparsed``, ``parse_limit``:
-    how many messages are beyond the `ParseBudget`, and its limit [bytes].
+    rows : their rows among the messages handed to the decoder.
+    columns : their values by path.
+    non_numeric : how many wanted values are not numbers, and became NaN.
+    unparsed, parse_limit : how many messages are beyond the `ParseBudget`, and its limit [bytes].
     """
 
     rows: Rows
     columns: Columns
-    odd: int = 0
+    non_numeric: int = 0
     unparsed: int = 0
     parse_limit: int = 0
 
 
 Decoder = Callable[[Messages, Rows], Decoded]
-"""Decodes some rows of messages of one definition."""
+"""Decodes those messages of a batch that are in some rows and have one definition."""
 
 
 class BootStamps(NamedTuple):
-    """Places, own times and log_time [ns] of messages whose own times count from a boot."""
+    """(n,) places in the log, times since boot and log_time [ns] of messages that have both."""
 
     places: Integers
     boot_ns: TimeArray
@@ -71,7 +73,7 @@ class SeriesKey(NamedTuple):
 
 
 def _no_blocks() -> dict[bool, list[Columns]]:
-    """Lists of columns, still empty, by whether the times were integers (see `OwnTimes`)."""
+    """No columns yet: an empty list for each ``from_integer`` of `OwnTimes`."""
     return {False: [], True: []}
 
 
@@ -79,14 +81,15 @@ def _no_blocks() -> dict[bool, list[Columns]]:
 class Topic:
     """A topic that is read, with messages of one name of schema, and what was read of it.
 
-    Its messages become channels or a table. series : for channels, the samples of each name in the
-    messages (`rows_by_name`); None for a table. blocks : for a table, its columns batch by batch,
-    those with times from integers (see `OwnTimes`) apart.
+    Its messages become channels or a table.
 
+    series : for channels, the samples of each name in the messages (`rows_by_name`); None for a
+        table.
+    blocks : for a table, its columns batch by batch, by ``from_integer`` of `OwnTimes`.
     failed : how many messages could not be decoded.
-    nameless : how many messages were left out because their names are beyond `MAX_NAMES`.
-    odd : how many wanted values are not numbers.
-    unparsed, parse_limit : how many messages are beyond the `ParseBudget`, and its limit.
+    beyond_max_names : how many messages were left out because their names are beyond `MAX_NAMES`.
+    non_numeric : how many wanted values are not numbers.
+    unparsed, parse_limit : how many messages are beyond the `ParseBudget`, and its limit [bytes].
     limit : how many series all topics may have.
     """
 
@@ -96,20 +99,20 @@ class Topic:
     series: dict[SeriesKey, TopicSamples] | None
     blocks: dict[bool, list[Columns]] = field(default_factory=_no_blocks)
     failed: int = 0
-    nameless: int = 0
-    odd: int = 0
+    beyond_max_names: int = 0
+    non_numeric: int = 0
     unparsed: int = 0
     parse_limit: int = 0
     limit: SeriesLimit = field(default_factory=SeriesLimit)
 
     def take(
-        self, batch: Messages, shares: Iterable[tuple[Decoder, Rows]], before: int
+        self, batch: Messages, shares: Iterable[tuple[Decoder, Rows]], messages_before: int
     ) -> list[BootStamps]:
         """Decode the messages of this topic in a batch, and add them to its series or its blocks.
 
         ``shares``: decoders, and the rows of the batch for each: a topic may have several
-        definitions. ``before``: how many messages precede the batch in the log. Returns the stamps
-        that count from a boot; none of a table.
+        definitions. ``messages_before``: how many messages precede the batch in the log. Returns
+        the stamps that count from a boot; an empty list for a table.
         """
         # The blocks of a table are kept; those of channels become samples of the series below.
         blocks = self.blocks if self.series is None else _no_blocks()
@@ -118,16 +121,16 @@ class Topic:
             self.failed += rows.shape[0] - len(decoded.rows) - decoded.unparsed
             self.unparsed += decoded.unparsed
             self.parse_limit = max(self.parse_limit, decoded.parse_limit)
-            self.odd += decoded.odd
+            self.non_numeric += decoded.non_numeric
             if not len(decoded.rows):
                 continue
             columns = decoded.columns
-            rows_done = rows[decoded.rows]
+            decoded_rows = rows[decoded.rows]  # of the batch
             times = own_times(columns, self.spec.time_field, len(decoded.rows))
             columns[STAMP] = times.time_ns
-            columns[LOG_TIME] = batch.log_time[rows_done]
-            columns[PLACE] = rows_done + before
-            columns[SEQUENCE] = batch.sequence[rows_done]
+            columns[LOG_TIME] = batch.log_time[decoded_rows]
+            columns[PLACE] = decoded_rows + messages_before
+            columns[SEQUENCE] = batch.sequence[decoded_rows]
             blocks[times.from_integer].append(columns)
         stamps = []
         if self.series is not None:
@@ -143,14 +146,15 @@ class Topic:
     ) -> list[BootStamps]:
         """Add messages to the series of their names; returns the stamps that count from a boot.
 
-        Names beyond `MAX_NAMES` get no series, but their stamps are returned too.
+        ``block``: the columns of the messages; ``from_integer`` of their times as of `OwnTimes`.
+        Messages with names beyond the limits are left out, but their stamps are returned too.
         """
         for name, rows in rows_by_name(block, self.spec.id_field):
             key = SeriesKey(name, from_integer)
             if key not in series:
                 count = int(block[PLACE][rows].shape[0])
                 if len(series) >= MAX_NAMES:
-                    self.nameless += count
+                    self.beyond_max_names += count
                     continue
                 if not self.limit.admits(count):
                     continue
@@ -165,7 +169,7 @@ class Topic:
         ]
 
     def _new_series(self, key: SeriesKey) -> TopicSamples:
-        """The series, still empty, of a name that is new in this topic."""
+        """An empty series for a name in the messages, which becomes a part of its own name."""
         label = self.name if key.name is None else f"{self.name}[{key.name}]"
         return TopicSamples(
             name=label,
@@ -175,7 +179,10 @@ class Topic:
         )
 
     def named_series(self) -> list[TopicSamples]:
-        """The samples of each name in the messages, whole; none of a table."""
+        """The series of this topic, to be called when all messages are read; none of a table.
+
+        If the messages have a single name, which only repeats the topic, the series drops it.
+        """
         if self.series is None:
             return []
         names = {key.name for key in self.series}
@@ -187,26 +194,28 @@ class Topic:
 
     @property
     def misfit(self) -> Message:
-        """The message that says how many messages of this topic could not be decoded."""
+        """The report of how many messages of this topic could not be decoded."""
         return messages.messages_not_decoded(topic=self.name, schema=self.schema, count=self.failed)
 
     def losses(self) -> Iterator[Message]:
-        """What is missing of the messages of this topic."""
+        """Reports of the messages and values of this topic that are missing."""
         if self.failed:
             yield self.misfit
-        if self.odd and self._wants_numbers():
-            yield messages.values_not_numbers(topic=self.name, count=self.odd)
+        if self.non_numeric and self._wants_numbers():
+            yield messages.values_not_numbers(topic=self.name, count=self.non_numeric)
         if self.unparsed:
             yield messages.objects_too_large(
                 topic=self.name, count=self.unparsed, limit=self.parse_limit
             )
-        if self.nameless:
-            yield messages.too_many_names(topic=self.name, count=self.nameless, most=MAX_NAMES)
+        if self.beyond_max_names:
+            yield messages.too_many_names(
+                topic=self.name, count=self.beyond_max_names, most=MAX_NAMES
+            )
 
     def _wants_numbers(self) -> bool:
         """Whether a value that is not a number is a loss.
 
-        In a schema that is known it is. In JSON of the user's own it is only if the topic has
+        In a schema of `SCHEMAS` it is. In JSON of another schema it is only if the topic has
         numbers too.
         """
         if self.spec is not PLAIN_JSON:
@@ -215,16 +224,16 @@ class Topic:
 
 
 def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, slice | Rows]]:
-    """The names in a ``field`` of messages, and the rows of each.
+    """The distinct names in a ``field`` of messages, and the rows of each.
 
-    In the place of an empty name stands the ``index`` of the message. Without a field of names, the
-    only name is None, with all rows.
+    An empty name is replaced by the ``index`` of the message, if there is such a field. Without a
+    field of names, the only name is None, with all rows.
     """
     if not field or field not in columns:
         yield None, slice(None)
         return
     names = columns[field].astype(np.str_).astype(object)
-    if columns[field].dtype.kind == "O":  # as one column of str they may be too large
+    if columns[field].dtype.kind == "O":  # names that are too long for one column of str
         names = np.array([str(name) for name in columns[field].tolist()], object)
     if "index" in columns:
         is_empty = names == ""
@@ -233,7 +242,7 @@ def rows_by_name(columns: Columns, field: str) -> Iterable[tuple[str | None, sli
 
 
 def paths_of(spec: MessageMap) -> frozenset[str]:
-    """The paths of the fields that a channel is made of, those of its time and texts included."""
+    """The paths of the fields that are read for a channel: values, time, UTC, names and texts."""
     time = spec.time_field
     paths = {time, f"{time}.sec", f"{time}.nanosec", f"{time}.nsec"}
     paths |= {UTC_FIELD, CAPTURE_UTC_FIELD, *spec.fields}
@@ -248,7 +257,10 @@ def paths_of(spec: MessageMap) -> frozenset[str]:
 def cdr_decoder(
     schema: str, text: str, wanted: frozenset[str] | None, budget: StepBudget | None = None
 ) -> Decoder:
-    """The decoder of ROS 2 messages, by their definition in the log; raises SchemaError."""
+    """The decoder of ROS 2 messages of the name ``schema``; ``text``: their definition in the log.
+
+    ``wanted``: paths of the fields that become columns, None for all. Raises SchemaError.
+    """
     plan = decode_plan(steps_of(schema, text), wanted)
 
     def decoder(batch: Messages, rows: Rows) -> Decoded:
@@ -260,23 +272,23 @@ def cdr_decoder(
 
 @dataclass
 class ParseBudget:
-    """How many bytes of messages may still be parsed one by one, of all topics of a log."""
+    """How many bytes of messages may be parsed one by one, of all topics of a log."""
 
     limit: int = FREE_PARSED
-    left: int = FREE_PARSED
+    bytes_left: int = FREE_PARSED
 
     @classmethod
     def of_file(cls, size: int) -> "ParseBudget":
-        """The budget of a file: more for a larger one."""
+        """The budget of a file of ``size`` bytes: more for a larger one."""
         limit = FREE_PARSED + PARSED_RATIO * size
         return cls(limit, limit)
 
     def spend(self, length: int) -> bool:
-        """Take a message of so many bytes; False where the budget does not suffice for it."""
+        """Take a message of ``length`` bytes from the budget; False if too few are left."""
         cost = length + BYTES_OF_PARSE
-        if cost > self.left:
+        if cost > self.bytes_left:
             return False
-        self.left -= cost
+        self.bytes_left -= cost
         return True
 
 
@@ -297,12 +309,12 @@ class ObjectDecoder:
     budget: ParseBudget = field(default_factory=ParseBudget)
 
     def __call__(self, batch: Messages, rows: Rows) -> Decoded:
-        """Decode some rows of messages."""
+        """Decode the messages in some rows of a batch."""
         raw = memoryview(batch.data)  # type: ignore[arg-type]
         begins = batch.begin[rows].tolist()
         lengths = batch.length[rows].tolist()
-        done = []
-        decoded = []
+        parsed_rows = []
+        parsed_values = []
         unparsed = 0
         for row, (begin, length) in enumerate(zip(begins, lengths, strict=True)):
             if not self.budget.spend(length):
@@ -310,22 +322,24 @@ class ObjectDecoder:
                 continue
             with suppress(*self.errors):
                 values_of_message = self._values_of(bytes(raw[begin : begin + length]))
-                decoded.append(values_of_message)
-                done.append(row)
-        odd = 0
+                parsed_values.append(values_of_message)
+                parsed_rows.append(row)
+        non_numeric = 0
         if self.wanted is not None:
-            for values in decoded:
-                odd += _make_numbers(values, self.spec.fields)
-        names = dict.fromkeys(name for values in decoded for name in values)
-        check_cells(len(names), len(decoded), sum(map(len, decoded)))
+            for values in parsed_values:
+                non_numeric += _make_numbers(values, self.spec.fields)
+        names = dict.fromkeys(name for values in parsed_values for name in values)
+        check_cells(len(names), len(parsed_values), sum(map(len, parsed_values)))
         # None where a message lacks the field: `column_of` fills it in.
-        columns = {name: column_of([values.get(name) for values in decoded]) for name in names}
+        columns = {}
+        for name in names:
+            columns[name] = column_of([values.get(name) for values in parsed_values])
         if STAMP in columns:
             columns[STAMP] = columns[STAMP].astype(np.int64)
         return Decoded(
-            rows=np.array(done, np.intp),
+            rows=np.array(parsed_rows, np.intp),
             columns=columns,
-            odd=odd,
+            non_numeric=non_numeric,
             unparsed=unparsed,
             parse_limit=self.budget.limit,
         )
@@ -333,7 +347,7 @@ class ObjectDecoder:
     def _values_of(self, raw: bytes) -> dict[str, Any]:
         """The values of one message by path, and its own time as `STAMP`; 0 without a time."""
         message = self.parse(raw)
-        values = dict(flat(message, "", self.wanted))
+        values = dict(flat_values(message, "", self.wanted))
         member = message  # from here down to the time
         for name in self.spec.time_field.split("."):
             member = member.get(name) if isinstance(member, dict) else getattr(member, name, None)
@@ -342,25 +356,26 @@ class ObjectDecoder:
 
 
 def _make_numbers(values: dict[str, Any], fields: set[str]) -> int:
-    """Turn the values of some fields into numbers where they stand.
+    """Replace the values of some fields by numbers, in place.
 
     Returns how many values are not numbers; these become NaN.
     """
-    odd = 0
+    non_numeric = 0
     for name in fields & values.keys():
-        value = number(values[name])
+        value = as_number(values[name])
         if value is None:
-            odd += 1
+            non_numeric += 1
             value = np.nan
         values[name] = value
-    return odd
+    return non_numeric
 
 
-def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple[str, Any]]:
-    """The paths and values of the members of an object, and of their members, from ``path`` on.
+def flat_values(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple[str, Any]]:
+    """The paths and values of the members of an object, and of their members.
 
-    With ``wanted`` paths these are the wanted values, whatever they are. With None they are all
-    numbers and texts, and the lengths of long arrays, as ``path[]``.
+    ``path``: that of ``value``, "" for a whole message. With ``wanted`` paths the result is the
+    wanted values, whatever they are. With None it is all numbers and texts, and the lengths of long
+    arrays, as ``path[]``.
     """
     if wanted is not None and path in wanted and value is not None:
         yield path, value  # a member of it may be wanted too
@@ -373,33 +388,33 @@ def flat(value: Any, path: str, wanted: frozenset[str] | None) -> Iterable[tuple
         return
     for name, member in _members(value):
         inner = f"{path}.{name}" if path else name
-        if wanted is None or _is_wanted(inner, wanted):
-            yield from flat(member, inner, wanted)
+        if wanted is None or _leads_to_wanted(inner, wanted):
+            yield from flat_values(member, inner, wanted)
 
 
-def _is_wanted(path: str, wanted: frozenset[str]) -> bool:
-    """Whether a path is wanted, or lies on the way to one that is."""
-    return path in _ways_to(wanted)
+def _leads_to_wanted(path: str, wanted: frozenset[str]) -> bool:
+    """Whether a path is wanted, or is that of an object with wanted members."""
+    return path in _with_prefixes(wanted)
 
 
 @lru_cache(maxsize=64)
-def _ways_to(wanted: frozenset[str]) -> frozenset[str]:
-    """Wanted paths, and all paths on the way to one.
+def _with_prefixes(wanted: frozenset[str]) -> frozenset[str]:
+    """Wanted paths, and those of all objects around them.
 
-    >>> sorted(_ways_to(frozenset({"header.stamp.sec"})))
+    >>> sorted(_with_prefixes(frozenset({"header.stamp.sec"})))
     ['header', 'header.stamp', 'header.stamp.sec']
     """
-    ways = set()
+    paths = set()
     for path in wanted:
         parts = path.split(".")
-        ways |= {".".join(parts[:end]) for end in range(1, len(parts) + 1)}
-    return frozenset(ways)
+        paths |= {".".join(parts[:end]) for end in range(1, len(parts) + 1)}
+    return frozenset(paths)
 
 
 def _members(value: Any) -> Iterator[tuple[str, Any]]:
-    """The members of a JSON object, of a protobuf message or of a short array, by name.
+    """The members of a JSON object, of a protobuf message or of a short array, by name or index.
 
-    A number has none. Texts and bytes do not come here: `flat` keeps them whole.
+    A number and bytes have none. Texts are not handed over here: `flat_values` keeps them whole.
     """
     if isinstance(value, dict):
         for name, member in value.items():
@@ -408,21 +423,21 @@ def _members(value: Any) -> Iterator[tuple[str, Any]]:
         for part in value.DESCRIPTOR.fields:
             yield part.name, getattr(value, part.name)
     elif hasattr(value, "__len__") and not _is_long(value):
-        for k, member in enumerate(value):
-            yield str(k), member
+        for index, member in enumerate(value):
+            yield str(index), member
 
 
 def _is_long(value: Any) -> bool:
-    """Whether this is bytes or a long array."""
+    """Whether a value is bytes, or an array of more than `MAX_ARRAY` elements."""
     if isinstance(value, dict) or not hasattr(value, "__len__"):
         return False
     return isinstance(value, bytes) or len(value) > MAX_ARRAY
 
 
 def json_decoder(spec: MessageMap, wanted: frozenset[str] | None, budget: ParseBudget) -> Decoder:
-    """The decoder of JSON objects; a message that is any other JSON does not fit.
+    """The decoder of JSON objects; a message that is other JSON is left out.
 
-    ``budget`` : of the log, for all its topics.
+    ``wanted``: paths of the fields that become columns, None for all. ``budget``: of the log.
     """
     errors = (ValueError, TypeError, AttributeError, OverflowError, RecursionError)
     return ObjectDecoder(_json_object, errors, spec, wanted, budget)
@@ -442,10 +457,11 @@ def protobuf_decoder(
     wanted: frozenset[str] | None,
     budget: ParseBudget,
 ) -> Decoder:
-    """The decoder of protobuf messages, by mcap-protobuf-support; ``budget`` is that of the log.
+    """The decoder of protobuf messages, by mcap-protobuf-support.
 
-    Raises ImportError without that library, SchemaError for a damaged schema, and TypeError for one
-    in another encoding.
+    ``schema``: the record of the mcap library. ``wanted``: paths of the fields that become columns,
+    None for all. ``budget``: of the log. Raises ImportError without that library, SchemaError for a
+    damaged schema, and TypeError for a schema in another encoding.
     """
     from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
     from mcap.exceptions import McapError
@@ -461,10 +477,10 @@ def protobuf_decoder(
     return ObjectDecoder(parse, errors, spec, wanted, budget)
 
 
-def number(value: Any) -> float | None:
-    """A number, or the text of one (as protobuf writes 64 bits into JSON); else None.
+def as_number(value: Any) -> float | None:
+    """The number that a value is, or that a text states (64 bits of protobuf in JSON); else None.
 
-    >>> number("21.5"), number("n/a"), number(10**400)
+    >>> as_number("21.5"), as_number("n/a"), as_number(10**400)
     (21.5, None, None)
     """
     if not isinstance(value, bool | int | float | str):

@@ -26,9 +26,9 @@ READING = np.dtype(
     [
         ("place", "i8"),  # byte offset of the message
         ("host_us", "i8"),  # the ground station's clock
-        ("source", "u2"),  # the number of the sender
-        ("boot_ns", "i8"),  # since boot
-        ("utc_ns", "i8"),  # or 0
+        ("source", "u2"),  # `Sender.number`
+        ("boot_ns", "i8"),  # time since boot
+        ("utc_ns", "i8"),  # 0 without UTC
     ]
 )
 """A sample of a sender's clock."""
@@ -47,7 +47,7 @@ class Sampler:
         self.rows = ColumnStore(READING)
 
     def take(self, timed: Sequence[NDArray[Any]]) -> None:
-        """Sample the next messages of the file, which have ``time_boot_ms``."""
+        """Sample the next messages of the file, which have ``time_boot_ms``, type by type."""
         if not timed:
             return
         readings = np.concatenate([_readings_of(part) for part in timed])
@@ -59,7 +59,7 @@ class Sampler:
         self.rows.add(kept[in_file_order])
 
     def readings(self, systems: Set[int]) -> Readings:
-        """The samples of the senders of these systems; removes all samples."""
+        """The samples of the senders of these systems; the sampler is emptied."""
         chosen = ColumnStore(READING)
         sorted_systems = sorted(systems)
         for block in self.rows.drained():
@@ -70,7 +70,7 @@ class Sampler:
 
 
 def _readings_of(messages: NDArray[Any]) -> Readings:
-    """A reading of the sender's clock from each of the messages of one type."""
+    """(n,) readings of the senders' clocks from (n,) messages of one type."""
     records = messages["records"]
     rows = np.zeros(messages.shape[0], READING)
     for name in ("place", "host_us", "source"):
@@ -97,10 +97,10 @@ def _is_sampled(rows: Readings) -> Mask:
 
 
 def _is_kept(rows: Readings) -> Mask:
-    """Which samples, sorted by sender, to keep of those taken.
+    """Which samples, sorted by sender, to keep:
 
     - The two on both sides of each change of the delay, and of each second.
-    - Those with UTC.
+    - Samples with UTC.
     - Some rows around each jump of a clock, and around the first sample of each sender.
     """
     boot_ms = rows["boot_ns"] // MILLISECOND

@@ -11,7 +11,7 @@ import numpy as np
 from unbend.ingest.field_maps import MessageMap, message_maps
 from unbend.ingest.tlog.sender_clocks import CLOCK_FIELDS
 
-# By name; with a dot and more behind the name it is a second channel made of the same message.
+# By name of the message; a key with a dot behind that name is a second channel of the same message.
 MESSAGES: Mapping[str, MessageMap] = message_maps("tlog")
 # Fields with a text that belongs to each row, by message.
 LABELS: Mapping[str, str] = {"CAMERA_IMAGE_CAPTURED": "file_url", "STATUSTEXT": "text"}
@@ -24,10 +24,11 @@ PARAM_VALUE = "PARAM_VALUE"
 class MessageDefinition:
     """One message of the dialect.
 
-    dtype : its payload, with the fields in the order in which they are sent.
+    crc_extra : the byte of the definition that checksums cover too.
+    dtype : of its payload, with the fields in the order in which they are sent.
     fields : the names of the fields in the order of the definition.
-    texts : the names of those that hold text.
-    instance_field : the name of the field that tells sensors of one kind apart, or empty.
+    texts : the names of the fields that are text.
+    instance_field : the name of the field by which sensors of one kind differ, or empty.
     """
 
     number: int
@@ -49,7 +50,7 @@ def dialect() -> Mapping[int, MessageDefinition]:
 
 
 def _definition(library_class: Any) -> MessageDefinition:
-    """The definition of a message by the class that the library has for it."""
+    """The definition of a message, from the class that the library has for it."""
     name = str(library_class.msgname)
     fields = tuple(library_class.fieldnames)
     texts = set()
@@ -86,14 +87,14 @@ def name_of(number: int) -> str:
 
 
 def message_of_key(key: str) -> str:
-    """The message of a key of `MESSAGES`."""
+    """The name of the message that a key of `MESSAGES` reads."""
     return key.partition(".")[0]
 
 
 def wanted_layouts() -> dict[int, np.dtype[Any]]:
-    """The layouts, by message id, of payloads with only the fields that are read.
+    """The numpy types, by message id, of the payloads of wanted messages.
 
-    These are the fields of channels, labels and clocks, of messages that have any such.
+    They have only the fields that are read: those of channels, labels and clocks.
     """
     wanted = {
         SYSTEM_TIME: {"time_unix_usec"},
@@ -110,8 +111,8 @@ def wanted_layouts() -> dict[int, np.dtype[Any]]:
     for message in dialect().values():
         if message.name not in wanted:
             continue
-        kept = {*wanted[message.name], message.instance_field, *CLOCK_FIELDS}
-        names = [name for name in message.dtype.names or () if name in kept]
+        read_fields = {*wanted[message.name], message.instance_field, *CLOCK_FIELDS}
+        names = [name for name in message.dtype.names or () if name in read_fields]
         result[message.number] = message.dtype[names]
     return result
 

@@ -87,22 +87,22 @@ class Frames:
 
     @property
     def end(self) -> Integers:
-        """The byte behind each frame."""
+        """The place of the first byte behind each frame."""
         return np.asarray(self.place + self.total, np.int64)
 
     @property
     def payload(self) -> Integers:
-        """The byte offset of the payload."""
+        """The place of the first byte of each payload."""
         before = np.where(self.version == 2, HEAD, STAMP + V1_BEFORE_PAYLOAD)
         return np.asarray(self.place + before, np.int64)
 
     @property
     def sender(self) -> NDArray[np.uint16]:
-        """The numbers of the senders."""
+        """The number (`Sender.number`) of the sender of each frame."""
         return sender_numbers(self.system, self.component)
 
     def take(self, rows: Mask | Rows | slice) -> "Frames":
-        """The frames in some rows; the same object if a mask has all of them."""
+        """The frames in some rows; this object itself if a mask selects all of them."""
         if isinstance(rows, np.ndarray) and rows.dtype == np.bool_:
             has_all = bool(rows.all())
             if has_all:
@@ -112,9 +112,12 @@ class Frames:
             columns[name] = column[rows]
         return Frames(**columns)
 
-    def moved(self, by: int) -> "Frames":
-        """The same frames, whose places in a window become places in the file by adding ``by``."""
-        return replace(self, place=self.place + by)
+    def moved(self, window_begin: int) -> "Frames":
+        """The same frames with places in the file instead of places in a window.
+
+        ``window_begin``: where the window begins in the file.
+        """
+        return replace(self, place=self.place + window_begin)
 
 
 def joined(parts: list[Frames]) -> Frames:
@@ -129,9 +132,9 @@ def joined(parts: list[Frames]) -> Frames:
 
 
 def frame_length(data: bytes, begin: int) -> int:
-    """How many bytes the frame has whose stamp begins at a byte, by its header; 0 without a frame.
+    """The length [bytes] that the header of the frame at a place states; 0 if none begins there.
 
-    The data may end within the frame.
+    ``begin``: the place of its stamp in the data, which may end within the frame.
 
     >>> frame_length(bytes([0, 5, 0, 0, 0, 0, 0, 0, 0xFE, 4]) + bytes(20), 0)
     20
@@ -156,9 +159,9 @@ def frame_length(data: bytes, begin: int) -> int:
 
 
 def candidates(window: Bytes, stop: int) -> Integers:
-    """Places before ``stop`` where a frame may begin.
+    """The places of a window, before ``stop``, where a frame may begin.
 
-    There is a plausible stamp, and eight bytes on a magic byte.
+    These have a plausible stamp, with a magic byte behind its eight bytes.
     """
     count = min(stop, window.shape[0] - STAMP)
     if count <= 0:
@@ -172,10 +175,11 @@ def candidates(window: Bytes, stop: int) -> Integers:
     return np.flatnonzero(possible).astype(np.int64)
 
 
-def headers(window: Bytes, places: Integers, room: int) -> Frames:
-    """The frames at these places of a window that end within its first ``room`` bytes.
+def frames_at(window: Bytes, places: Integers, room: int) -> Frames:
+    """Read the frames that begin at (n,) places of a window.
 
-    The window must have `HEAD` bytes from the last place on, though its frame may be shorter.
+    Frames that end beyond the first ``room`` bytes of the window are left out. The window must have
+    `HEAD` bytes from each place on, although a frame may be shorter.
     """
     head = gather(window, places, HEAD)
     v1 = head.view(_HEAD_V1)
@@ -200,42 +204,49 @@ def headers(window: Bytes, places: Integers, room: int) -> Frames:
     return frames.take(frames.end <= room)
 
 
-# CRC-16/MCRF4XX (X.25 of the MAVLink library): what each byte adds to the checksum.
+# CRC-16/MCRF4XX (X.25 of the MAVLink library): what each value of a byte adds to the checksum.
 _POLYNOMIAL = np.uint16(0x8408)
-_TABLE = np.arange(256, dtype=np.uint16)
+_CRC_OF_BYTE = np.arange(256, dtype=np.uint16)
 for _ in range(8):
-    _odd = _TABLE & 1 != 0
-    _half = _TABLE >> 1
-    _TABLE = np.where(_odd, _half ^ _POLYNOMIAL, _half)
+    _odd = _CRC_OF_BYTE & 1 != 0
+    _half = _CRC_OF_BYTE >> 1
+    _CRC_OF_BYTE = np.where(_odd, _half ^ _POLYNOMIAL, _half)
 
 
-def _step(
+def _crc_after_byte(
     crc: NDArray[np.uint16],
     byte: NDArray[np.integer[Any]],
 ) -> NDArray[np.uint16]:
-    """The checksums after one more byte each."""
+    """(n,) checksums after one more byte each."""
     table_row = (crc ^ byte) & 0xFF
-    return np.asarray((crc >> 8) ^ _TABLE[table_row], np.uint16)
+    return np.asarray((crc >> 8) ^ _CRC_OF_BYTE[table_row], np.uint16)
 
 
-# What two bytes add at a step: the register has 16 bits, so that 65,536 entries are all there are.
+# Two bytes are one step: the checksum, combined with them by XOR, goes on as if they were zeros. It
+# has 16 bits, so that a table of 65,536 entries has all results.
 _REGISTERS = np.arange(1 << 16, dtype=np.uint16)
 _ZERO = np.zeros(1, np.uint16)
-_WORDS = _step(_step(_REGISTERS, _ZERO), _ZERO)
+_CRC_AFTER_ZERO_WORD = _crc_after_byte(_crc_after_byte(_REGISTERS, _ZERO), _ZERO)
 
 
 class _Packets(NamedTuple):
-    """Rows of some frames of one version and one length, and the bytes their checksum covers."""
+    """Rows of some frames of one version and one length.
+
+    ``covered``: how many bytes of each the checksum covers.
+    """
 
     rows: Rows
     covered: int
 
 
 def _packets_of_one_length(frames: Frames, has_extra: Mask) -> list[_Packets]:
-    """The frames that have a CRC_EXTRA by version and length, in pieces of at most `BLOCK` rows."""
+    """The frames in groups of one version and length, each of at most `BLOCK` rows.
+
+    ``has_extra``: (n,) whether the CRC_EXTRA of a frame's id is known; other frames are left out.
+    """
     rows = np.flatnonzero(has_extra)
     group = frames.length[rows].astype(np.uint16) * 2
-    group += frames.version[rows] == 2  # the lowest bit
+    group += frames.version[rows] == 2  # the lowest bit is the version
     packets = []
     for _, places_in_rows in rows_by_value(group):
         rows_alike = rows[places_in_rows]
@@ -252,18 +263,15 @@ def _packets_of_one_length(frames: Frames, has_extra: Mask) -> list[_Packets]:
 def checksums_hold(
     window: Bytes,
     frames: Frames,
-    extras: Mapping[int, int],
+    crc_extra_of_id: Mapping[int, int],
 ) -> Mask:
-    """Whether the checksum of each of (n,) frames holds; False for ids without a CRC_EXTRA.
-
-    ``extras``: the CRC_EXTRA of each id.
-    """
-    holds = np.zeros(len(frames), np.bool_)
+    """(n,) whether the checksum of each frame is right; False for ids without a CRC_EXTRA."""
+    is_right = np.zeros(len(frames), np.bool_)
     if not len(frames):
-        return holds
-    sorted_ids = sorted(extras)
+        return is_right
+    sorted_ids = sorted(crc_extra_of_id)
     ids = np.array(sorted_ids, np.int32)
-    extra_of_id = np.array([extras[number] for number in sorted_ids], np.uint16)
+    extra_of_id = np.array([crc_extra_of_id[number] for number in sorted_ids], np.uint16)
     id_row = np.searchsorted(ids, frames.message_id)
     id_row = np.minimum(id_row, ids.shape[0] - 1)  # beyond the last id: any row, it is not equal
     has_extra = ids[id_row] == frames.message_id
@@ -271,8 +279,8 @@ def checksums_hold(
     for rows, bytes_covered in _packets_of_one_length(frames, has_extra):
         behind_magic = frames.place[rows] + STAMP + 1
         sums = checksums(window, behind_magic, bytes_covered, extra[rows])
-        holds[rows] = sums.computed == sums.stored
-    return holds
+        is_right[rows] = sums.computed == sums.stored
+    return is_right
 
 
 class Checksums(NamedTuple):
@@ -284,31 +292,34 @@ class Checksums(NamedTuple):
 
 def checksums(
     window: Bytes,
-    first: Integers,
+    behind_magic: Integers,
     covered: int,
     extra: NDArray[np.uint16],
 ) -> Checksums:
     """The checksums of (n,) packets of one length.
 
-    The ``covered`` bytes begin at ``first`` (n,), behind the magic byte; ``extra`` (n,): CRC_EXTRA.
+    They cover ``covered`` bytes from ``behind_magic`` (n,) on, the places behind the magic bytes,
+    and ``extra`` (n,), the CRC_EXTRA of each packet.
     """
     # Packets with an odd number of bytes are read from the byte before, so that they are of words.
     bytes_before = covered % 2
     size = bytes_before + covered + CHECKSUM
-    packets = gather(window, first - bytes_before, size)
+    packets = gather(window, behind_magic - bytes_before, size)
     words = packets.view("<u2").reshape(-1, size // 2)
     stored_word = size // 2 - 1
-    crc = np.full(first.shape, 0xFFFF, np.uint16)
+    crc = np.full(behind_magic.shape, 0xFFFF, np.uint16)
     first_whole_word = 0
     if bytes_before:
         high_byte = words[:, 0] >> 8  # the low one is the byte before the packet
-        crc = _step(crc, high_byte)
+        crc = _crc_after_byte(crc, high_byte)
         first_whole_word = 1
     for number in range(first_whole_word, stored_word):
         np.bitwise_xor(crc, words[:, number], out=crc)
-        crc = _WORDS.take(crc, mode="clip")  # 16 bits are never out of range: no test needed
+        crc = _CRC_AFTER_ZERO_WORD.take(
+            crc, mode="clip"
+        )  # 16 bits are never out of range: no test needed
     return Checksums(
-        computed=_step(crc, extra),
+        computed=_crc_after_byte(crc, extra),
         stored=words[:, stored_word],
     )
 
@@ -318,19 +329,19 @@ def payloads(
     frames: Frames,
     dtype: np.dtype[Any],
 ) -> NDArray[Any]:
-    """Payloads of frames of one message as a structured array.
+    """(n,) payloads of frames of one message as a structured array of ``dtype``.
 
-    What MAVLink 2 does not send, zeros at the end, is filled in. Bytes beyond ``dtype``, of a field
-    that the dialect does not know, are cut off.
+    Zeros at the end, which MAVLink 2 does not send, are filled in. Bytes beyond ``dtype``, of
+    fields that the dialect does not have, are cut off.
     """
     filled = np.zeros((len(frames), dtype.itemsize), np.uint8)
-    begin = frames.payload
+    payload_begins = frames.payload
     frames_of_length = np.bincount(frames.length)
     for length in np.flatnonzero(frames_of_length).tolist():
         used_bytes = min(length, dtype.itemsize)
         if used_bytes:
             rows = np.flatnonzero(frames.length == length)
-            sent = gather(window, begin[rows], used_bytes)
+            sent = gather(window, payload_begins[rows], used_bytes)
             sent_bytes = sent.view(np.uint8).reshape(-1, used_bytes)
             filled[rows, :used_bytes] = sent_bytes
     return filled.view(dtype).reshape(len(frames))

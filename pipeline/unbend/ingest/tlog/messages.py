@@ -1,4 +1,4 @@
-"""What the reader of telemetry logs says: codes, and one function for each message."""
+"""Messages of the reader of telemetry logs: codes, and a function for each message."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ LOG_UNKNOWN_ID = Code(
 
 
 def unknown_ids(*, file: str, first: int, count: int, ids: Sequence[int]) -> Message:
-    """Frames of ids outside the dialect lie one behind the other between accepted frames."""
+    """Between accepted frames there are frames of ids outside the dialect, one after the other."""
     return warning(
         LOG_UNKNOWN_ID,
         "{count} messages have ids that the dialect does not define ({ids}): not checked, not read",
@@ -176,7 +176,7 @@ def no_vehicle_time() -> Message:
 def set_by_host_clock(
     *, sender: str, boot: int, count: int, spread_ms: float, sigma_s: float
 ) -> Message:
-    """A sender has a time since boot, and nothing that ties it to UTC."""
+    """A sender has a time since boot, and no message that ties this to UTC."""
     return fallback(
         TIME_HOST_CLOCK,
         (
@@ -334,7 +334,7 @@ EVENT_NO_PULSE = Code(
 
 
 def numbers_without_feedback(*, channel: str, count: int, first: int) -> Message:
-    """Image numbers stand only in rows that repeat the time of another."""
+    """Image numbers are only in rows that repeat the time of another image."""
     return warning(
         EVENT_NO_PULSE,
         (
@@ -352,7 +352,7 @@ def numbers_without_feedback(*, channel: str, count: int, first: int) -> Message
 
 
 def times_of_triggers(*, channel: str, count: int) -> Message:
-    """The feedback of a camera has Unix time: that of the command."""
+    """The feedback of a camera has Unix time: that of the trigger command."""
     return note(
         EVENTS_TRIGGER_TIME,
         (

@@ -1,6 +1,6 @@
 """Scanning a telemetry log in stretches: frames checked, wanted payloads kept, the rest counted.
 
-A frame is accepted when its checksum holds. Between accepted frames lie those that cannot be
+A frame is accepted when its checksum is right. Between accepted frames lie those that cannot be
 checked (an id outside the dialect), those whose checksum fails, and bytes of no message. Everything
 is done for all frames of a stretch of the file at once.
 """
@@ -26,7 +26,7 @@ from unbend.ingest.tlog.frames import (
     candidates,
     checksums_hold,
     frame_length,
-    headers,
+    frames_at,
     joined,
     payloads,
 )
@@ -56,10 +56,10 @@ class Silence:
 
 @dataclass
 class RejectedFrames:
-    """Frames of one id that are not accepted.
+    """Frames of one message id that are not accepted.
 
-    count, size : how many there are, and their bytes together.
-    first : the place of the first of them, -1 without any.
+    count, size : how many there are, and how many bytes they have together.
+    first : the place in the file of the first of them, -1 without any.
     """
 
     count: int = 0
@@ -67,7 +67,7 @@ class RejectedFrames:
     size: int = 0
 
     def add(self, place: int, length: int) -> None:
-        """Count one more frame, which lies behind those counted before."""
+        """Count one more frame, at a place behind those counted before."""
         if not self.count:
             self.first = place
         self.count += 1
@@ -76,10 +76,10 @@ class RejectedFrames:
 
 @dataclass
 class _SequenceState:
-    """Where the sequence of a sender stands after some messages.
+    """The state of a sender's sequence after some of its messages.
 
-    last, heard_us : the number and the stamp [us] of the last message.
-    ahead : by how much the highest number so far is ahead of the last one, which may come late.
+    last, heard_us : the sequence number and the stamp [us] of the last message.
+    ahead : the highest number so far minus that of the last message; 0 unless the last came late.
     """
 
     last: int
@@ -96,7 +96,7 @@ class _SenderMessages(NamedTuple):
 
 
 def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
-    """Rows of a message: the byte and the clock of the ground station, the sender, the fields."""
+    """The numpy type of the rows of a message in `Scan.sent`; ``layout``: of its wanted fields."""
     names = layout.names or ()
     packed = np.dtype([(name, layout[name]) for name in names])
     return np.dtype(
@@ -112,26 +112,26 @@ def _row_type(layout: np.dtype[Any]) -> np.dtype[Any]:
 class Scan(DamagedBytes):
     """The messages of a telemetry log, which is scanned when the object is made, and its damage.
 
-    extras : the CRC_EXTRA of each id of the dialect.
+    crc_extra_of_id : the CRC_EXTRA of each id of the dialect.
     wanted : layouts of the payloads to keep, by id.
-    late : ids of wanted messages whose time since boot is not that of sending.
+    exposure_ids : ids of wanted messages with the time of an exposure, not that of sending.
 
     counts : how many messages of each id there are; those of an id outside the dialect count if
         frames fill all the bytes between accepted ones.
     sent : the rows of the wanted messages by id: ``place`` (byte), ``host_us`` (the ground
         station's clock), ``source`` (the number of the sender) and ``records``.
-    unknown, failed : frames outside the dialect, and those whose checksum fails, by id.
-    lost : missing messages of each sender, by its sequence numbers.
-    steady : whether no stamp lies more than a second before the stamp before it, as a stray stamp
-        would, or the one that follows a stray stamp.
+    unknown, failed : frames of ids outside the dialect, and frames with a wrong checksum, by id.
+    lost : how many messages of each sender are missing, by its sequence numbers.
+    steady : False if a stamp is more than a second before the stamp of the previous message: one
+        of them is stray.
     """
 
     def __init__(
         self,
         data: FileView,
-        extras: Mapping[int, int],
+        crc_extra_of_id: Mapping[int, int],
         wanted: Mapping[int, np.dtype[Any]],
-        late: Set[int] = frozenset(),
+        exposure_ids: Set[int] = frozenset(),
     ) -> None:
         super().__init__()
         self.counts: Counter[int] = Counter()
@@ -143,13 +143,13 @@ class Scan(DamagedBytes):
         self.silences: list[Silence] = []
         self.steady = True
         self._data = data
-        self._extras = extras
+        self._crc_extra_of_id = crc_extra_of_id
         self._wanted = wanted
-        self._late = late
+        self._exposure_ids = exposure_ids
         self._row_types: dict[int, np.dtype[Any]] = {}
         for number, layout in wanted.items():
             self._row_types[number] = _row_type(layout)
-        self._end = 0  # of the last accepted frame
+        self._end = 0  # the place behind the last accepted frame
         self._host_us = 0  # its stamp; 0 before the first
         self._sequences: dict[int, _SequenceState] = {}
         for begin in range(0, data.size, STRETCH):
@@ -161,16 +161,19 @@ class Scan(DamagedBytes):
                 self._count_lost(self._rejected_at(places, data.size))
 
     def _scan_stretch(self, begin: int, stop: int) -> None:
-        """Scan the frames that begin in a stretch, behind the last accepted frame."""
+        """Scan the frames that begin in the bytes from ``begin`` to ``stop`` of the file.
+
+        Frames that begin inside the last accepted frame are left out.
+        """
         window = self._data.array(begin, stop + LONGEST)
-        room = window.shape[0]  # the padding is no room for frames
+        room = window.shape[0]  # no frame ends beyond it, in the padding
         if begin + room == self._data.size:  # a header may extend beyond the end of the file
             window = _padded(window)
         places = candidates(window, stop - begin)
         places_behind = places[places >= self._end - begin]
-        frames = headers(window, places_behind, room)
-        whole_frames = frames.take(checksums_hold(window, frames, self._extras))
-        accepted = _apart(whole_frames)
+        frames = frames_at(window, places_behind, room)
+        whole_frames = frames.take(checksums_hold(window, frames, self._crc_extra_of_id))
+        accepted = _without_nested(whole_frames)
         self._keep(window, accepted, begin)
         if len(accepted):
             self._accept(accepted.moved(begin))
@@ -179,6 +182,7 @@ class Scan(DamagedBytes):
         """Keep the wanted messages of a stretch, and sample the clocks of their senders.
 
         Clocks are sampled from messages with the time since boot at which they were sent.
+        ``begin``: where the window begins in the file.
         """
         timed = []
         for number, layout in self._wanted.items():
@@ -197,14 +201,14 @@ class Scan(DamagedBytes):
             if number not in self.sent:
                 self.sent[number] = ColumnStore(rows.dtype)
             self.sent[number].add(rows)
-            if number not in self._late and "time_boot_ms" in names:
+            if number not in self._exposure_ids and "time_boot_ms" in names:
                 timed.append(rows)
         self.clock.take(timed)
 
     def _accept(self, frames: Frames) -> None:
         """Count the accepted frames of a stretch, and examine the bytes before each of them.
 
-        The messages of other frames between these are not lost, though they are not accepted.
+        Frames between these that are not accepted count as received for the sequence numbers.
         """
         self._check_stamps(frames)
         rejected = self._rejected_between(frames)
@@ -224,7 +228,7 @@ class Scan(DamagedBytes):
         self._host_us = int(frames.host_us[-1])
 
     def _rejected_between(self, frames: Frames) -> Frames | None:
-        """Examine the gaps before accepted frames; returns the frames in them, if there are any."""
+        """Examine the gaps before accepted frames; returns the frames in them, None without any."""
         places: list[int] = []
         previous_end = np.concatenate([[self._end], frames.end[:-1]])
         has_gap_before = previous_end != frames.place
@@ -237,23 +241,23 @@ class Scan(DamagedBytes):
         return self._rejected_at(places, int(frames.place[-1]))
 
     def _rejected_at(self, places: list[int], stop: int) -> Frames:
-        """The frames at these places, which end before ``stop``; they are counted as rejected."""
+        """Read the frames at these places, all before ``stop``, and count them as rejected."""
         begin = places[0]
         window = self._data.array(begin, stop)
         offsets = np.array(places, np.int64) - begin
-        frames = headers(_padded(window), offsets, window.shape[0])
+        frames = frames_at(_padded(window), offsets, window.shape[0])
         frames = frames.moved(begin)
         self._count_rejected(frames)
         return frames
 
     def _examine_gap(self, begin: int, stop: int) -> list[int]:
-        """Count the bytes from ``begin`` to ``stop``, which lie between two accepted frames.
+        """Count the bytes from ``begin`` to ``stop``, between two accepted frames.
 
-        From the begin on they may be frames that are not accepted, one behind the other; the places
-        of these are returned, because their messages are not lost, though their content is not
-        used. What follows is a frame that the end of the file cuts off, or bytes of no message.
+        They may begin with frames that are not accepted, one behind the other. The places of these
+        are returned: their content is not used, but they are not lost. What follows is a frame
+        that the end of the file cuts off, or bytes of no message.
         """
-        if self.is_hopeless(self._data.size):  # what lies between good frames is not searched
+        if self.is_hopeless(self._data.size):  # bytes between good frames are not searched
             self.drop(begin, stop)
             return []
         places, end = self._frames_in_a_row(begin, stop)
@@ -261,15 +265,15 @@ class Scan(DamagedBytes):
             self.cut_bytes += stop - end
         elif end < stop:
             if places:
-                # The length of the last frame may be damaged: it counts to the bytes of no message.
+                # The length of the last frame may be damaged: it counts as bytes of no message.
                 end = places.pop()
             self.drop_searched(end, stop)
         return places
 
     def _frames_in_a_row(self, begin: int, stop: int) -> tuple[list[int], int]:
-        """The places of frames that follow each other from a byte, and where the last ends.
+        """The places of the frames that follow each other from ``begin`` on, and the last's end.
 
-        Their checksums do not count here: only stamps, magic bytes and lengths.
+        They are recognized by stamps, magic bytes and lengths, without a checksum.
         """
         places: list[int] = []
         place = begin
@@ -289,10 +293,11 @@ class Scan(DamagedBytes):
         return places, place
 
     def _ends_in_frame(self, begin: int, stop: int, places: list[int]) -> bool:
-        """Whether the file ends within a frame that begins at a byte, behind frames at ``places``.
+        """Whether the end of the file cuts off a frame that begins at ``begin``.
 
-        The file does if fewer bytes are left than any frame has, or fewer than the header says.
-        False behind a frame of the dialect, whose checksum has failed.
+        That is so if fewer bytes are left than any frame has, or fewer than the header states.
+        ``places``: of the rejected frames before it; False if the last of them is of the dialect,
+        because its checksum has failed and its length may be wrong.
         """
         if stop != self._data.size:
             return False
@@ -303,21 +308,19 @@ class Scan(DamagedBytes):
             return False
         if not places:
             return True
-        # The frame before is not accepted. If it is of the dialect, its checksum has failed, and
-        # its length may be wrong.
         place = places[-1]
         head = _padded(self._data.array(place, place + HEAD))
-        last = headers(head, np.zeros(1, np.int64), LONGEST)
+        last = frames_at(head, np.zeros(1, np.int64), LONGEST)
         message_id = int(last.message_id[0])
-        return message_id not in self._extras
+        return message_id not in self._crc_extra_of_id
 
     def _count_rejected(self, frames: Frames) -> None:
-        """Count frames that are not accepted: of an unknown id, or else with a failed checksum."""
+        """Count rejected frames: in ``failed`` those of the dialect, in ``unknown`` all others."""
         message_ids = frames.message_id.tolist()
         places = frames.place.tolist()
         columns = (message_ids, places, frames.total.tolist())
         for number, place, length in zip(*columns, strict=True):
-            if number in self._extras:
+            if number in self._crc_extra_of_id:
                 rejected = self.failed.setdefault(number, RejectedFrames())
             else:
                 rejected = self.unknown.setdefault(number, RejectedFrames())
@@ -325,7 +328,7 @@ class Scan(DamagedBytes):
             rejected.add(place, length)
 
     def _count_lost(self, frames: Frames) -> None:
-        """Count the messages that each sender numbered, but that are not among these frames."""
+        """Count the sequence numbers of each sender that are missing in the next frames."""
         for number, rows in rows_by_value(frames.sender):
             sent = _SenderMessages(
                 sequence=frames.sequence[rows],
@@ -337,9 +340,9 @@ class Scan(DamagedBytes):
     def _count_lost_of_sender(self, number: int, sent: _SenderMessages) -> None:
         """Count the numbers that are missing in the next messages of a sender, and its silences.
 
-        The sequence counts modulo 256. A step of more than half of that is one backward, to a
-        message that later ones have overtaken and that therefore is not missing. After a gap in the
-        stamps no step is backward.
+        ``number``: of the sender (`Sender.number`). The sequence counts modulo 256. A step of more
+        than half of that is backward, to a message that later messages have overtaken, and skips
+        none. After a gap in the stamps no step is backward.
         """
         sender = Sender.of_number(number)
         state = self._sequences.get(number)
@@ -350,13 +353,13 @@ class Scan(DamagedBytes):
                 heard_us=int(sent.host_us[0]),
             )
         number_step = np.diff(sent.sequence, prepend=np.uint8(state.last))  # modulo 256
-        skipped = number_step - np.uint8(1)
+        skipped = number_step - np.uint8(1)  # numbers between two messages, modulo 256
         is_after_gap = np.diff(sent.host_us, prepend=state.heard_us) > SILENT_US
         for row in np.flatnonzero(is_after_gap).tolist():
             self._add_silence(sender, sent, row, int(skipped[row]), state.heard_us)
         step = skipped.view(np.int8).astype(np.int64) + 1  # as int8, more than half is negative
-        step[(step < 0) & is_after_gap] = 1  # what it skips is in ``backward`` of the silence
-        # The number of each message, counted on beyond 256 from 0 at the last message before these.
+        step[(step < 0) & is_after_gap] = 1  # `Silence.backward` has the numbers that it skips
+        # The number of each message, not modulo 256; 0 is that of the last message before these.
         position = np.cumsum(step)
         new_positions = np.unique(position[position > state.ahead])
         lost = 0
@@ -378,10 +381,10 @@ class Scan(DamagedBytes):
         skipped: int,
         heard_us: int,
     ) -> None:
-        """Add the silence before the message in a row, if it is one: a stray stamp is none.
+        """Add the silence before the message in a row of ``sent``, if no stray stamp explains it.
 
-        ``skipped``: the numbers between that message and the one before. ``heard_us``: the stamp of
-        the sender before all these messages.
+        ``skipped``: how many numbers are between that message and the message before, modulo 256.
+        ``heard_us``: the stamp [us] of the sender's last message before all of ``sent``.
         """
         silent_us = _silent_us(sent.host_us, row, heard_us)
         if silent_us <= SILENT_US:
@@ -401,7 +404,8 @@ def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:
     """How long a sender was silent before the message in a row [us].
 
     From the latest of a few stamps before that message to the earliest of a few stamps from the
-    message on, because single stamps may be stray. ``heard_us``: the stamp before all rows.
+    message on, because single stamps may be stray. ``host_us``: (n,) stamps [us]. ``heard_us``: the
+    stamp before all of these.
     """
     first = max(row - STRAY_ROWS - 1, 0)
     before_us = host_us[first:row].max(initial=heard_us)
@@ -409,8 +413,8 @@ def _silent_us(host_us: Integers, row: int, heard_us: int) -> int:
     return int(after_us) - int(before_us)
 
 
-def _apart(frames: Frames) -> Frames:
-    """The frames without those that begin inside another frame: its payload may hold a log."""
+def _without_nested(frames: Frames) -> Frames:
+    """The frames without those that begin inside another frame, with a log as payload."""
     ends = frames.end
     are_apart = bool(np.all(frames.place[1:] >= ends[:-1]))
     if are_apart:

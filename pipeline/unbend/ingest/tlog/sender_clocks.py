@@ -2,8 +2,8 @@
 
 Messages carry time since boot; SYSTEM_TIME ties that to UTC. The log's stamps are of the ground
 station, seconds off UTC and irregular by the radio link: they place messages without a time among
-those with one. Cameras and gimbals have no SYSTEM_TIME: whether they count by the autopilot's clock
-or their own, the reception of their messages shows.
+those with a time. Cameras and gimbals have no SYSTEM_TIME: the reception of their messages shows
+whether they count by the autopilot's clock or by their own.
 """
 
 from collections.abc import Callable, Container, Mapping, Sequence
@@ -41,7 +41,7 @@ class ClockField(NamedTuple):
     """A field with a time since boot: its unit [ns], and the time [ns] after which it wraps."""
 
     unit_ns: int
-    turn_ns: int
+    wrap_ns: int
 
 
 CLOCK_FIELDS: Mapping[str, ClockField] = {
@@ -49,21 +49,25 @@ CLOCK_FIELDS: Mapping[str, ClockField] = {
     "time_usec": ClockField(MICROSECOND, WRAP_OF_US_NS),
 }
 
-# Largest difference of a stamp that wrapped from the sender's clock: exposures are reported up to
-# some seconds late, and a minute is a seventieth of the shorter period.
-NEAR_NS = 60 * NANOSECONDS_PER_SECOND
+# Largest difference of a stamp, with its wraps added, from the sender's clock: exposures are
+# reported up to some seconds late, and a minute is a seventieth of the shorter period.
+MAX_MISFIT_NS = 60 * NANOSECONDS_PER_SECOND
 # Delay of a message that is stamped on arrival: links and cameras delay by up to some seconds, the
 # link's jitter is 2 s at most in real logs.
-EARLIEST_NS = -2 * NANOSECONDS_PER_SECOND
-LATEST_NS = 10 * NANOSECONDS_PER_SECOND
+MIN_DELAY_NS = -2 * NANOSECONDS_PER_SECOND
+MAX_DELAY_NS = 10 * NANOSECONDS_PER_SECOND
 
 
 @dataclass(frozen=True)
 class SenderClock:
     """One sender's clock and its boots in UTC.
 
-    ``reading_places``, ``boot_ns`` (n,): readings each second and at each boot, empty where none is
-    known. By boot: ``counts`` of readings, ``maps`` from the ground station's clock to UTC.
+    reading_places, boot_ns : (n,) readings each second and at each boot: place in the file, and
+        time since boot. Empty for the clock of the ground station.
+    clock : UTC of the times since boot.
+    counts : of all readings, by boot.
+    maps : functions from the ground station's clock [ns] to UTC [ns], by boot.
+    stated_shift_ns : UTC minus the UTC that the sender states, by boot; empty for no shift.
     """
 
     reading_places: Integers
@@ -71,45 +75,46 @@ class SenderClock:
     clock: BootClock
     counts: tuple[int, ...]
     maps: tuple[Callable[[TimeArray], TimeArray], ...]
-    stated_shift_ns: tuple[int, ...] = ()  # UTC minus the UTC that the sender states, by boot
+    stated_shift_ns: tuple[int, ...] = ()
 
     def utc_of_stated(self, places: Integers, stated_ns: TimeArray) -> TimeArray:
-        """UTC [ns] of times that the sender states as UTC: its date may be a rollover off."""
+        """UTC [ns] of times that the sender states as UTC: its date may be wrong by a rollover."""
         if not any(self.stated_shift_ns):
             return stated_ns
         shift_ns = np.array(self.stated_shift_ns, np.int64)
-        return np.asarray(stated_ns + shift_ns[self.boot(places)], np.int64)
+        return np.asarray(stated_ns + shift_ns[self.boot_at(places)], np.int64)
 
-    def boot(self, places: Integers) -> NDArray[np.int16]:
-        """The boot of messages at these places of the file."""
+    def boot_at(self, places: Integers) -> NDArray[np.int16]:
+        """The numbers of the boots at these places of the file."""
         return self.clock.line.boot_of(places)
 
-    def _row(self, places: Integers) -> Rows:
-        """The reading that stands before each place of the file, or the first."""
+    def _reading_before(self, places: Integers) -> Rows:
+        """The row of the last reading before each place of the file; 0, the first, before all."""
         before = np.searchsorted(self.reading_places, places, side="right") - 1
         return np.maximum(before, 0)
 
     def boot_places(self, places: Integers, boot_ns: TimeArray) -> Integers:
-        """For each message a place in the file that lies in the boot of its time.
+        """For each message a place of the file in the boot that its time since boot belongs to.
 
-        That is its own place, unless its time is nearer to the next reading, which is of another
-        boot: messages may come before the first reading of their clock.
+        That is the message's own place, unless the next reading is of another boot and its time is
+        nearer than that of the reading before: messages may come before the first reading of their
+        boot.
         """
         if self.clock.line.boots == 1:
             return places
-        before = self._row(places)
+        before = self._reading_before(places)
         after = np.minimum(before + 1, self.reading_places.shape[0] - 1)
         from_before_ns = np.abs(boot_ns - self.boot_ns[before])
         from_after_ns = np.abs(boot_ns - self.boot_ns[after])
         is_of_next = from_after_ns < from_before_ns
-        is_of_next &= self.boot(self.reading_places[after]) != self.boot(places)
+        is_of_next &= self.boot_at(self.reading_places[after]) != self.boot_at(places)
         return np.asarray(np.where(is_of_next, self.reading_places[after], places), np.int64)
 
     def utc_of_host(self, places: Integers, host_ns: TimeArray) -> TimeArray:
-        """UTC [ns] of messages without a time of their own."""
+        """UTC [ns] of messages without a time of their own, by the ground station's stamps [ns]."""
         if not self.reading_places.size:
             return host_ns
-        boot = self.boot(places)
+        boot = self.boot_at(places)
         utc_ns = host_ns.copy()
         for number in np.unique(boot).tolist():
             rows = boot == number
@@ -121,16 +126,17 @@ class SenderClock:
         places: Integers,
         host_ns: TimeArray,
         boot_ns: TimeArray,
-        turn_ns: int,
+        wrap_ns: int,
     ) -> TimeArray:
-        """UTC [ns] of times since boot that wrap after ``turn_ns``.
+        """UTC [ns] of times since boot that wrap after ``wrap_ns``.
 
-        Without a known clock, the stamps ``host_ns`` of the ground station.
+        Where no reading of the clock is known, the result is ``host_ns``, the stamps of the ground
+        station.
         """
         if not self.reading_places.size:
             return host_ns
-        near_ns = np.asarray(self.boot_ns[self._row(places)], np.int64)
-        whole_ns = unrolled(boot_ns, near_ns, turn_ns)
+        clock_ns = np.asarray(self.boot_ns[self._reading_before(places)], np.int64)
+        whole_ns = unrolled(boot_ns, clock_ns, wrap_ns)
         return self.clock.utc(places, whole_ns)
 
 
@@ -150,11 +156,13 @@ _HOST_CLOCK = SenderClock(
 
 @dataclass(frozen=True)
 class Clocks:
-    """The clocks of all senders of a log whose time since boot is known.
+    """The clocks of the senders of a log that sent their time since boot.
 
-    ``boots`` of the vehicle; ``description`` of its clock in words; ``wrong_utc``: senders whose
-    images carry a UTC that does not fit; ``utc_sigma_s`` [s] of the vehicle's UTC; ``assessments``:
-    what each clock is good for.
+    boots : how many power-ups the vehicle has.
+    description : where the vehicle's UTC comes from, in words.
+    wrong_utc : senders of images with a UTC that does not fit the time of their reception.
+    utc_sigma_s : [s] of the vehicle's UTC.
+    assessments : what each clock is good for.
     """
 
     senders: Mapping[Sender, SenderClock]
@@ -165,7 +173,10 @@ class Clocks:
     assessments: tuple[ClockAssessment, ...] = ()
 
     def lender(self, sender: Sender) -> Sender | None:
-        """The sender whose clock is used: this one, else another component of its system."""
+        """The sender that has the clock to use: this sender, else a component of its system.
+
+        Of several components that with the most readings; None if none has a clock.
+        """
         if sender in self.senders:
             return sender
         lender = None
@@ -177,54 +188,60 @@ class Clocks:
                 most_readings = readings
         return lender
 
-    def of(self, sender: Sender) -> SenderClock:
-        """The clock of a sender; where none is known, that of the ground station."""
+    def clock_of(self, sender: Sender) -> SenderClock:
+        """The clock to use for a sender: that of its `lender`, else that of the ground station."""
         lender = self.lender(sender)
         if lender is None:
             return _HOST_CLOCK
         return self.senders[lender]
 
-    def advanced(self, sender: Sender, place: int, least_ns: int) -> bool:
-        """Whether a sender's clock advances by ``least_ns`` or more at a place, within a boot.
+    def advances_at(self, sender: Sender, place: int, least_ns: int) -> bool:
+        """Whether a sender's clock advances by ``least_ns`` or more at a place of the file.
 
-        True also where the clock is not known beside that place.
+        That is between the readings before and from that place on; False if a boot is between
+        them. True where the sender has no reading on either side.
         """
         clock = self.senders.get(sender, _HOST_CLOCK)
         row = int(np.searchsorted(clock.reading_places, place))
         if not 0 < row < clock.reading_places.shape[0]:
             return True
-        boots = clock.boot(clock.reading_places[row - 1 : row + 1])
+        boots = clock.boot_at(clock.reading_places[row - 1 : row + 1])
         is_one_boot = bool(boots[0] == boots[1])
         step_ns = int(clock.boot_ns[row] - clock.boot_ns[row - 1])
         return is_one_boot and step_ns >= least_ns
 
 
 def clock_field(names: Container[str]) -> str:
-    """The field of a message that has its time, or ""."""
+    """The field with the time since boot among the fields of a message, or ""."""
     return next((name for name in CLOCK_FIELDS if name in names), "")
 
 
-def unrolled(stamp_ns: TimeArray, near_ns: TimeArray, turn_ns: int) -> TimeArray:
-    """(n,) stamps [ns] of a counter that wraps after ``turn_ns``, with the missing turns added.
+def unrolled(stamp_ns: TimeArray, sender_clock_ns: TimeArray, wrap_ns: int) -> TimeArray:
+    """(n,) stamps [ns] of a counter that wraps after ``wrap_ns``, with the missing wraps added.
 
-    Turns are added where the result is within `NEAR_NS` of the sender's clock, ``near_ns``.
+    They are added where the result is within `MAX_MISFIT_NS` of the sender's clock at that place,
+    ``sender_clock_ns`` (n,).
 
     >>> clock_ns = np.array([WRAP_OF_US_NS + 4 * 10**9])
     >>> unrolled(np.array([5 * 10**9]), clock_ns, WRAP_OF_US_NS) - WRAP_OF_US_NS
     array([5000000000])
     """
-    behind_ns = near_ns - stamp_ns
-    if not behind_ns.shape[0] or int(behind_ns.max()) <= turn_ns // 2:
-        return stamp_ns  # no turn is missing
-    turns = np.rint(behind_ns / turn_ns).astype(np.int64)
-    whole_ns = stamp_ns + turns * turn_ns
-    fits = (turns > 0) & (np.abs(whole_ns - near_ns) < NEAR_NS)
+    behind_ns = sender_clock_ns - stamp_ns
+    if not behind_ns.shape[0] or int(behind_ns.max()) <= wrap_ns // 2:
+        return stamp_ns  # no wrap is missing
+    wraps = np.rint(behind_ns / wrap_ns).astype(np.int64)
+    whole_ns = stamp_ns + wraps * wrap_ns
+    fits = (wraps > 0) & (np.abs(whole_ns - sender_clock_ns) < MAX_MISFIT_NS)
     return np.asarray(np.where(fits, whole_ns, stamp_ns), np.int64)
 
 
 @dataclass(frozen=True)
 class KnownDates:
-    """The systems whose clock a receiver with a fix sets, and other clocks that tell the date."""
+    """What shows the date of a log besides SYSTEM_TIME.
+
+    systems_with_fix : systems with a GNSS receiver that has a fix: it sets the system's clock.
+    witnesses : clocks outside the messages.
+    """
 
     systems_with_fix: frozenset[int] = frozenset()
     witnesses: tuple[Witness, ...] = ()
@@ -233,8 +250,8 @@ class KnownDates:
 def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates()) -> Clocks:
     """Fit the clocks of all senders; residuals and fallbacks are entered in the ledger.
 
-    The vehicle is the sender with the most readings. Its clock is fitted first, and leads those of
-    the other components of its system.
+    The vehicle is the sender with the most readings. Its clock is fitted first, and gives UTC to
+    those of the other components of its system that have none (``lead_clock`` of `fit_sender`).
     """
     if not readings.size:
         ledger.add(messages.no_vehicle_time())
@@ -253,11 +270,11 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
     clocks: dict[Sender, SenderClock] = {}
     for number in busiest_first:
         sender = Sender.of_number(number)
-        lead = _HOST_CLOCK
+        lead_clock = _HOST_CLOCK
         if sender.system == vehicle.system:
-            lead = clocks.get(vehicle, _HOST_CLOCK)
+            lead_clock = clocks.get(vehicle, _HOST_CLOCK)
         readings_of_sender = _in_rows(readings, rows_of_sender.pop(number))
-        clocks[sender] = fit_sender(readings_of_sender, lead, sender, ledger, dates)
+        clocks[sender] = fit_sender(readings_of_sender, lead_clock, sender, ledger, dates)
     vehicle_clock = clocks[vehicle].clock
     assessments: list[ClockAssessment] = []
     for sender_clock in clocks.values():
@@ -272,7 +289,7 @@ def clocks_of(readings: Readings, ledger: Ledger, dates: KnownDates = KnownDates
 
 
 def _description(clock: BootClock) -> str:
-    """Where the UTC of the vehicle's clock comes from."""
+    """Where the UTC of the vehicle's clock comes from, in words."""
     with_utc = clock.utc_known.count(True)
     boots = len(clock.utc_known)
     if with_utc == boots:
@@ -293,42 +310,42 @@ def _in_rows(readings: Readings, rows: Rows) -> Readings:
 
 
 def _steps_back(readings: Readings) -> bool:
-    """Whether the clock of a sender steps back by more than messages that overtake each other."""
+    """Whether the time since boot in the readings of a sender steps back by more than 1 s."""
     steps_ns = np.diff(readings["boot_ns"])
     return bool(np.any(steps_ns < -BOOT_STEP_NS))
 
 
 def overtaken(readings: Readings) -> Mask:
-    """Which (n,) readings of a sender are of messages that later ones overtook.
+    """Which (n,) readings of a sender are of messages that later messages overtook.
 
-    Such a reading has a time up to `LATEST_NS` before that of an earlier row, the newest one so
-    far. A restart would explain that as well: it is excluded where, by the stamps of reception, the
-    sender was switched on before that row.
+    The time of such a reading is up to `MAX_DELAY_NS` before the newest time of the rows before. A
+    restart would explain that as well: it is excluded if the sender, by the stamp of reception and
+    the time since boot of the reading, was switched on before the row with the newest time.
     """
     boot_ns = readings["boot_ns"]
     host_ns = readings["host_us"] * MICROSECOND
     newest_ns = np.maximum.accumulate(boot_ns)
     rows = np.arange(boot_ns.size)
     rows[newest_ns != boot_ns] = 0
-    row_of_newest = np.maximum.accumulate(rows)
+    row_of_newest = np.maximum.accumulate(rows)  # of the newest time up to each row
     late_ns = newest_ns - boot_ns
-    is_late = (late_ns > BOOT_STEP_NS) & (late_ns < LATEST_NS)
+    is_late = (late_ns > BOOT_STEP_NS) & (late_ns < MAX_DELAY_NS)
     boot_by_host_ns = host_ns - boot_ns  # when the sender was switched on, by the host's clock
-    was_on = boot_by_host_ns < host_ns[row_of_newest] - LATEST_NS
+    was_on = boot_by_host_ns < host_ns[row_of_newest] - MAX_DELAY_NS
     return np.asarray(is_late & was_on, np.bool_)
 
 
 def fit_sender(
     readings: Readings,
-    lead: SenderClock,
+    lead_clock: SenderClock,
     sender: Sender,
     ledger: Ledger,
     dates: KnownDates = KnownDates(),
 ) -> SenderClock:
     """Fit the clock of a sender to its readings.
 
-    UTC is that of its SYSTEM_TIME; in boots without, that of ``lead`` (the vehicle's clock) when
-    its messages were received. SYSTEM_TIME of a system without a fix is of a clock that no
+    UTC is that of its SYSTEM_TIME; in boots without, that at which its messages were received, by
+    ``lead_clock`` (of the vehicle). SYSTEM_TIME of a system without a fix is of a clock that no
     receiver has set.
     """
     readings = _selected(readings, ~stray_times(readings["boot_ns"]))
@@ -336,7 +353,7 @@ def fit_sender(
         readings = _selected(readings, ~overtaken(readings))
     places = readings["place"]
     stamped_ns = readings["host_us"] * MICROSECOND
-    boot_ns = _continued(readings["boot_ns"], stamped_ns, sender, ledger)
+    boot_ns = _without_wraps(readings["boot_ns"], stamped_ns, sender, ledger)
     system_time = UtcReadings(
         source="SYSTEM_TIME messages",
         one="SYSTEM_TIME message",
@@ -352,7 +369,7 @@ def fit_sender(
         one="stamp",
         places=places,
         boot_ns=boot_ns,
-        utc_ns=lead.utc_of_host(places, stamped_ns),
+        utc_ns=lead_clock.utc_of_host(places, stamped_ns),
         usable=np.ones(places.shape, np.bool_),
         sigma_s=UNCHECKED_SIGMA_S,
         why=UNCHECKED_WHY,
@@ -376,10 +393,10 @@ def fit_sender(
 
 
 def _shifts_of_stated(clock: BootClock, stated: UtcReadings) -> tuple[int, ...]:
-    """By boot, how much later UTC is than a sender states in SYSTEM_TIME [ns]; 0 up to a day.
+    """UTC minus the UTC that a sender states in SYSTEM_TIME [ns], by boot; 0 up to a day.
 
-    A larger shift is of a date that was repaired. The other messages of the sender state UTC by the
-    same clock, and need the same shift.
+    A difference of more than a day is a date that was repaired. The other messages of the sender
+    state UTC by the same clock, and need the same shift.
     """
     usable = stated.usable_rows(clock.line)
     boots = clock.line.boot_of(usable.places)
@@ -399,7 +416,10 @@ def _shifts_of_stated(clock: BootClock, stated: UtcReadings) -> tuple[int, ...]:
 def _report_host_clock(
     clock: BootClock, counts: Sequence[int], sender: Sender, ledger: Ledger
 ) -> None:
-    """Report the boots whose UTC is only that of the reception of their messages."""
+    """Report the boots with no other UTC than that of the reception of their messages.
+
+    ``counts``: of the readings, by boot.
+    """
     for number, fit in enumerate(clock.fits):
         if fit is not None and not clock.utc_known[number]:
             ledger.add(
@@ -416,9 +436,10 @@ def _report_host_clock(
 def _maps_to_utc(
     stamped_ns: TimeArray, utc_ns: TimeArray, counts: Sequence[int]
 ) -> tuple[Callable[[TimeArray], TimeArray], ...]:
-    """For each boot a function that maps the ground station's clock to UTC.
+    """For each boot a function that maps the ground station's clock [ns] to UTC [ns].
 
-    ``counts``: of the readings of each boot, which follow each other in both arrays.
+    ``stamped_ns``, ``utc_ns``: (n,) of all readings, boot after boot. ``counts``: how many of these
+    each boot has.
     """
     maps = []
     begin = 0
@@ -429,21 +450,22 @@ def _maps_to_utc(
     return tuple(maps)
 
 
-def _continued(
+def _without_wraps(
     boot_ns: TimeArray, stamped_ns: TimeArray, sender: Sender, ledger: Ledger
 ) -> TimeArray:
-    """Times since boot that go on where the 32-bit count of milliseconds wrapped.
+    """(n,) times since boot [ns] that go on where the 32-bit count of milliseconds wrapped.
 
-    A new boot starts near zero too, but not exactly when the count was full by the host's clock.
+    A new boot starts near zero too, but not exactly when the count was full by the stamps of the
+    ground station, ``stamped_ns``.
     """
     step_ns = np.diff(boot_ns)
     # 1 where the count wrapped, -1 where an overtaken message still has a time before that.
-    turns_in_step = np.rint(-step_ns / WRAP_OF_MS_NS).astype(np.int64)
-    unexplained_ns = step_ns + turns_in_step * WRAP_OF_MS_NS - np.diff(stamped_ns)
-    is_new_boot = np.abs(unexplained_ns) > NEAR_NS
-    turns_in_step[is_new_boot] = 0
-    if not turns_in_step.any():
+    wraps_in_step = np.rint(-step_ns / WRAP_OF_MS_NS).astype(np.int64)
+    unexplained_ns = step_ns + wraps_in_step * WRAP_OF_MS_NS - np.diff(stamped_ns)
+    is_new_boot = np.abs(unexplained_ns) > MAX_MISFIT_NS
+    wraps_in_step[is_new_boot] = 0
+    if not wraps_in_step.any():
         return boot_ns
-    turns = np.append(0, np.cumsum(turns_in_step))
-    ledger.add(messages.count_wrapped(sender=str(sender), count=int(turns.max())))
-    return np.asarray(boot_ns + turns * WRAP_OF_MS_NS, np.int64)
+    wraps = np.append(0, np.cumsum(wraps_in_step))
+    ledger.add(messages.count_wrapped(sender=str(sender), count=int(wraps.max())))
+    return np.asarray(boot_ns + wraps * WRAP_OF_MS_NS, np.int64)

@@ -24,12 +24,12 @@ class Sender(NamedTuple):
 
     @classmethod
     def of_number(cls, number: int) -> "Sender":
-        """The sender of a number that holds both."""
+        """The sender with this `number`."""
         return cls(*divmod(number, _COMPONENTS))
 
     @property
     def number(self) -> int:
-        """System and component as one number."""
+        """System and component as one number, as in the column ``source`` of messages."""
         return self.system * _COMPONENTS + self.component
 
     def __str__(self) -> str:
@@ -64,5 +64,5 @@ def by_sender(rows: NDArray[Any]) -> Iterator[tuple[Sender, Rows | slice]]:
         sender = Sender.of_number(int(numbers[0]))
         yield sender, slice(None)
         return
-    for number, of_sender in rows_by_value(numbers):
-        yield Sender.of_number(number), of_sender
+    for number, rows_of_sender in rows_by_value(numbers):
+        yield Sender.of_number(number), rows_of_sender

@@ -39,9 +39,9 @@ from unbend.units import Integers
 SILENT_NS = SILENT_US * MICROSECOND
 RECEIVER_MESSAGES = ("GPS_RAW_INT", "GPS2_RAW")
 LISTED_IDS = 8  # of the unknown ones, in the ledger
-_CARRIED = {message_of_key(key) for key in MESSAGES}
-# Messages whose time is that of the exposure, not of sending.
-_LATE = {key for key, spec in MESSAGES.items() if spec.event}
+_CHANNEL_MESSAGES = {message_of_key(key) for key in MESSAGES}
+# Keys of `MESSAGES` of messages that have the time of an exposure, not that of sending.
+_EXPOSURE_KEYS = {key for key, spec in MESSAGES.items() if spec.event}
 
 
 def read_log(
@@ -49,7 +49,7 @@ def read_log(
     ledger: Ledger,
     witnesses: Sequence[Witness] = (),
 ) -> Contents:
-    """The contents of a telemetry log; ``witnesses`` are other clocks that tell its date."""
+    """The contents of a telemetry log; ``witnesses`` are other clocks that show its date."""
     scan = _scan_of(path)
     scan.report_bytes(ledger, path.name, "message")
     damaged_bytes = _report_rejected(scan, path.name, ledger)
@@ -60,15 +60,15 @@ def read_log(
         if count:
             message_counts[name_of(number)] = count
     sent = {name_of(number): store for number, store in scan.sent.items()}
-    scan.sent.clear()  # `channels_of` frees what ``sent`` holds, message by message
-    carried = [store for name, store in sent.items() if name in _CARRIED]
+    scan.sent.clear()  # `channels_of` frees the stores in ``sent``, message by message
+    stores_of_channels = [store for name, store in sent.items() if name in _CHANNEL_MESSAGES]
     dates = KnownDates(
         systems_with_fix(sent),
         tuple(witnesses),
     )
-    # Not named: memory has its peak in `channels_of`, and the readings are free before it.
-    clocks = clocks_of(scan.clock.readings(_systems(carried)), ledger, dates)
-    clocks = with_borrowed_clocks(clocks, carried, ledger)
+    # The readings have no name, so that they are freed before the peak of memory in `channels_of`.
+    clocks = clocks_of(scan.clock.readings(_systems_of_stores(stores_of_channels)), ledger, dates)
+    clocks = with_borrowed_clocks(clocks, stores_of_channels, ledger)
     channels, parameters = channels_of(sent, clocks, ledger)
     lost = _report_link(scan, clocks, channels, path.name, ledger)
     return Contents(
@@ -88,9 +88,9 @@ def read_log(
 def _scan_of(path: Path) -> Scan:
     """The scan of a file, with the messages that channels and clocks are made of."""
     wanted = wanted_layouts()
-    late = {number for number in wanted if name_of(number) in _LATE}
+    exposure_ids = {number for number in wanted if name_of(number) in _EXPOSURE_KEYS}
     with open_view(path) as data:
-        return Scan(data, crc_extras(), wanted, late)
+        return Scan(data, crc_extras(), wanted, exposure_ids)
 
 
 def systems_with_fix(sent: Mapping[str, ColumnStore]) -> frozenset[int]:
@@ -107,8 +107,8 @@ def systems_with_fix(sent: Mapping[str, ColumnStore]) -> frozenset[int]:
     return frozenset(systems)
 
 
-def _systems(stores: list[ColumnStore]) -> set[int]:
-    """The systems that sent messages."""
+def _systems_of_stores(stores: list[ColumnStore]) -> set[int]:
+    """The systems that sent the messages in these stores."""
     systems: set[int] = set()
     for store in stores:
         for block in store.blocks():
@@ -118,7 +118,7 @@ def _systems(stores: list[ColumnStore]) -> set[int]:
 
 
 def is_tlog(head: bytes) -> bool:
-    """Whether a file begins with two frames, or one that is all of it."""
+    """Whether a file, by its first bytes ``head``, begins with two frames, or is one frame."""
     first = frame_length(head, 0)
     if not first:
         return False
@@ -137,8 +137,8 @@ TLOG = LogFormat(
 def _report_rejected(scan: Scan, file: str, ledger: Ledger) -> int:
     """Report frames that are not accepted; returns how many bytes of them are damage.
 
-    A checksum that fails is damage if the log has good messages of that type, or the type is
-    wanted; else the type may have other fields in the dialect of the sender.
+    A checksum that fails is damage if the log has good messages of that type, or if the type is
+    wanted. Otherwise the type may have other fields in the dialect of the sender.
     """
     if scan.unknown:
         ledger.add(
@@ -173,9 +173,10 @@ def _report_link(
     file: str,
     ledger: Ledger,
 ) -> int:
-    """Report the messages that the link lost, of senders of channels; returns their least number.
+    """Report the messages that the link lost; returns how many are missing at least.
 
-    Reported are numbers missing in the sequence of a sender, and its silences.
+    These are the numbers missing in the sequence of a sender. Its silences are reported too. Only
+    senders of channels count.
     """
     senders = set()
     for channel in channels:
@@ -187,9 +188,9 @@ def _report_link(
     silences_of: dict[Sender, list[Silence]] = {}
     for silence in scan.silences:
         sender = silence.source
-        if sender in senders and clocks.advanced(sender, silence.place, SILENT_NS):
+        if sender in senders and clocks.advances_at(sender, silence.place, SILENT_NS):
             silences_of.setdefault(sender, []).append(silence)
-            # after seconds of silence no message overtakes another: the step is a loss
+            # after seconds of silence no message overtakes another: a step back is a loss
             lost[sender] += silence.backward
     for sender, count in sorted((+lost).items()):  # + leaves out senders that lost none
         lost_message = messages.lost_by_radio(
@@ -214,10 +215,10 @@ def _report_link(
 
 
 def _replace_stray_stamps(scan: Scan, ledger: Ledger, file: str) -> None:
-    """Replace stamps of the ground station that jump and return: no checksum covers them.
+    """Replace, in place, stamps of the ground station that jump and return.
 
-    A stray stamp gets the value of the stamp of the last good message before it, or of the first
-    good one. Stamps of which all are stray stay as they are.
+    No checksum covers the stamps. A stray stamp gets the value of the last good stamp before it, or
+    of the first good stamp. If all are stray, they stay as they are.
     """
     blocks = [block for store in scan.sent.values() for block in store.blocks()]
     if not blocks:
@@ -247,11 +248,14 @@ def _replace_stamps(
     stray_places: Integers,
     replacement_us: Integers,
 ) -> None:
-    """Replace the stamps of messages or readings at (n,) stray places, in place."""
-    not_before = np.searchsorted(stray_places, block["place"])
-    nearest_stray = np.minimum(not_before, stray_places.shape[0] - 1)
-    is_stray = stray_places[nearest_stray] == block["place"]
-    block["host_us"][is_stray] = replacement_us[nearest_stray[is_stray]]
+    """Replace the stamps of those messages or readings of a block that are at stray places.
+
+    ``stray_places``: (n,) rising places in the file. ``replacement_us``: (n,) their new stamps.
+    """
+    first_not_before = np.searchsorted(stray_places, block["place"])
+    stray_row = np.minimum(first_not_before, stray_places.shape[0] - 1)
+    is_stray = stray_places[stray_row] == block["place"]
+    block["host_us"][is_stray] = replacement_us[stray_row[is_stray]]
 
 
 def _table(
@@ -260,7 +264,10 @@ def _table(
     name: str,
     instance: str | None,
 ) -> Table:
-    """All messages of one type with their time, their sender and their fields as sent."""
+    """The messages of one type with their time, their sender and their fields as sent.
+
+    ``instance`` None for all messages. The table is empty if there are none.
+    """
     message = message_of_name().get(name)
     if message is None:
         return {}
@@ -290,7 +297,7 @@ def _table(
 
 
 def _messages_of_type(path: Path, message: MessageDefinition) -> NDArray[Any]:
-    """All messages of one type as they were sent."""
+    """All messages of one type as `Scan.sent` has them; an empty array without any."""
     wanted = {message.number: message.dtype}
     with open_view(path) as data:
         scan = Scan(data, crc_extras(), wanted)
@@ -302,7 +309,7 @@ def _messages_of_type(path: Path, message: MessageDefinition) -> NDArray[Any]:
 def _rows_of_instance(
     rows: NDArray[Any], message: MessageDefinition, instance: str
 ) -> NDArray[Any]:
-    """The messages of one instance, none where the message has no instances."""
+    """The messages of the instance with this label; none if the message has no instances."""
     if not message.instance_field:
         return rows[:0]
     instances = rows["records"][message.instance_field]
@@ -311,7 +318,7 @@ def _rows_of_instance(
 
 
 def _texts(raw: NDArray[Any]) -> NDArray[np.str_]:
-    """char[] fields as texts: bytes beyond ASCII become U+FFFD, as in the library."""
+    """(n,) char[] fields as texts up to the first NUL; bytes beyond ASCII become U+FFFD."""
     values, value_of_row = np.unique(raw, return_inverse=True)
     texts = []
     for value in values.tolist():

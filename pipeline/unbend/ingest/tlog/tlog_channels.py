@@ -28,7 +28,7 @@ from unbend.ingest.tlog.dialect import (
 )
 from unbend.ingest.tlog.sender_clocks import (
     CLOCK_FIELDS,
-    LATEST_NS,
+    MAX_DELAY_NS,
     Clocks,
     SenderClock,
     clock_field,
@@ -38,7 +38,7 @@ from unbend.ingest.utc_evidence import FIRST_SET_US
 from unbend.messages import Ledger
 from unbend.units import Mask, Rows
 
-MISSING_CHUNK = "..."  # in a text some of whose parts were lost
+MISSING_CHUNK = "..."  # in a text, where a part was lost
 
 
 def channels_of(
@@ -46,7 +46,8 @@ def channels_of(
 ) -> tuple[list[Channel], dict[str, float]]:
     """The channels of the wanted messages, and the last values of the parameters.
 
-    The messages are removed from ``sent``, so that memory does not hold them twice.
+    ``sent``: the stores of messages by name. The messages are removed from it, so that they are not
+    twice in memory.
     """
     keys_of_message = _keys_of_messages()
     channels = []
@@ -70,7 +71,7 @@ def channels_of(
 
 
 def _keys_of_messages() -> dict[str, list[str]]:
-    """The keys of MESSAGES that read each message."""
+    """The keys of `MESSAGES` by message: a message may become several channels."""
     keys_of_message: dict[str, list[str]] = {}
     for key in MESSAGES:
         keys_of_message.setdefault(message_of_key(key), []).append(key)
@@ -78,7 +79,7 @@ def _keys_of_messages() -> dict[str, list[str]]:
 
 
 def _rows_of_series(series: "_Series", ledger: Ledger) -> DecodedRows:
-    """The rows of a series; repeated exposures are dropped, and chunks of a text are joined."""
+    """The rows of a series, without repeated exposures, and with chunks of a text joined."""
     rows = series.rows()
     if series.key == "CAMERA_FEEDBACK":
         exposures = distinct_exposures(series.records(), rows.name, ledger)
@@ -94,14 +95,14 @@ def _rows_of_series(series: "_Series", ledger: Ledger) -> DecodedRows:
 def _in_time_order(rows: DecodedRows, *, is_event: bool) -> DecodedRows:
     """The rows in the order of their time; as they are where a clock was set back.
 
-    Messages overtake each other by up to some seconds: a step back of `LATEST_NS` or more is of the
-    clock. Events are put in order in any case, because the link may deliver them much later.
+    Messages overtake each other by up to some seconds: a step back of `MAX_DELAY_NS` or more is of
+    the clock. Events are put in order in any case, because the link may deliver them much later.
     """
     is_in_order = bool(np.all(rows.time_ns[1:] >= rows.time_ns[:-1]))
     if is_in_order:
         return rows
     steps_back_ns = np.maximum.accumulate(rows.time_ns) - rows.time_ns
-    clock_was_set_back = int(np.max(steps_back_ns)) >= LATEST_NS
+    clock_was_set_back = int(np.max(steps_back_ns)) >= MAX_DELAY_NS
     if clock_was_set_back and not is_event:
         return rows
     order = np.argsort(rows.time_ns, kind="stable")
@@ -118,7 +119,7 @@ def _systems_with_height(channels: Sequence[Channel]) -> list[int]:
 
 
 def _last_values(rows: NDArray[Any], systems: Sequence[int]) -> dict[str, float]:
-    """The last value of each parameter that these systems sent."""
+    """The last value of each parameter that these systems sent; ``rows``: all PARAM_VALUE."""
     is_chosen = np.isin(systems_of(rows["source"]), systems)
     records = rows["records"][is_chosen]
     names = map(text_of, records["param_id"].tolist())
@@ -126,15 +127,18 @@ def _last_values(rows: NDArray[Any], systems: Sequence[int]) -> dict[str, float]
     return dict(zip(names, values, strict=True))
 
 
-class _Group(NamedTuple):
-    """A sender and an instance as sent, None of a message without instances."""
+class _SeriesId(NamedTuple):
+    """A sender, and the instance as it sent it: a number or bytes, None without instances."""
 
     sender: Sender
     instance: Any
 
 
 class _Series:
-    """A channel during reading: the messages of one sender and instance."""
+    """A channel during reading: the messages of one sender and instance.
+
+    ``key``: of `MESSAGES`. ``label``: the instance in words, None of a message without instances.
+    """
 
     def __init__(self, key: str, sender: Sender, label: str | None) -> None:
         self.key = key
@@ -153,7 +157,7 @@ class _Series:
         self._records: list[NDArray[Any]] = []
 
     def add(self, rows: NDArray[Any], clocks: Clocks) -> None:
-        """Add the next messages."""
+        """Add the next messages, as `Scan.sent` has them."""
         records = rows["records"]
         field = clock_field(records.dtype.names or ())
         times = times_of(rows, field, clocks, self.sender)
@@ -167,11 +171,11 @@ class _Series:
             self._records.append(records)
 
     def records(self) -> NDArray[Any]:
-        """The messages as they were sent, of exposures and texts."""
+        """The messages as they were sent; kept of exposures and texts only."""
         return np.concatenate(self._records)
 
     def rows(self) -> DecodedRows:
-        """All rows, with the texts that belong to them."""
+        """All rows, with the texts that belong to them; the series is emptied."""
         labels = {}
         if self.key in LABELS:
             label = LABELS[self.key]
@@ -194,8 +198,8 @@ def _fields_of(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
         column = records[name]
         fields[name] = column
         if column.ndim == 2:
-            for k in range(column.shape[1]):
-                fields[f"{name}.{k}"] = column[:, k]
+            for index in range(column.shape[1]):
+                fields[f"{name}.{index}"] = column[:, index]
     return fields
 
 
@@ -205,63 +209,70 @@ def _series_of_message(
     clocks: Clocks,
     limit: SeriesLimit,
 ) -> list[_Series]:
-    """The series of one message, for each key, sender and instance; the store is emptied."""
-    series_of_group = _series_by_group(keys, store, clocks, limit)
+    """The series of one message, for each sender, instance and key; the store is emptied.
+
+    The names have the sender if there are several.
+    """
+    series_of_id = _series_by_id(keys, store, clocks, limit)
     all_series: list[_Series] = []
-    for group in sorted(series_of_group):
-        all_series += series_of_group[group]
+    for series_id in sorted(series_of_id):
+        all_series += series_of_id[series_id]
     senders = {series.sender for series in all_series}
     if len(senders) > 1:
         _add_senders_to_names(all_series)
     return all_series
 
 
-def _series_by_group(
+def _series_by_id(
     keys: list[str],
     store: ColumnStore,
     clocks: Clocks,
     limit: SeriesLimit,
-) -> dict[_Group, list[_Series]]:
-    """The series of each sender and instance.
+) -> dict[_SeriesId, list[_Series]]:
+    """The series of each sender and instance, one for each key.
 
-    Groups beyond the limit have none.
+    Senders and instances beyond the limit have none.
     """
-    series_of_group: dict[_Group, list[_Series]] = {}
+    series_of_id: dict[_SeriesId, list[_Series]] = {}
     message = message_of_key(keys[0])
     instance_field = message_of_name()[message].instance_field
-    for group, rows in _rows_by_group(store, instance_field):
-        if group not in series_of_group:
+    for series_id, rows in _rows_by_id(store, instance_field):
+        if series_id not in series_of_id:
             if not limit.admits(rows.shape[0]):
                 continue
-            label = None if group.instance is None else label_of(group.instance)
-            series_of_group[group] = [_Series(key, group.sender, label) for key in keys]
-        for series in series_of_group[group]:
+            label = None if series_id.instance is None else label_of(series_id.instance)
+            series_of_id[series_id] = [_Series(key, series_id.sender, label) for key in keys]
+        for series in series_of_id[series_id]:
             series.add(rows, clocks)
-    return series_of_group
+    return series_of_id
 
 
 def _add_senders_to_names(all_series: list[_Series]) -> None:
-    """Tell the channels of several senders apart, as in ATTITUDE@1/1."""
+    """Add system and component of the sender to the name of each series, as in ATTITUDE@1/1."""
     for series in all_series:
         series.name += f"@{series.sender.system}/{series.sender.component}"
 
 
-def _rows_by_group(
+def _rows_by_id(
     store: ColumnStore,
     instance_field: str,
-) -> Iterator[tuple[_Group, NDArray[Any]]]:
+) -> Iterator[tuple[_SeriesId, NDArray[Any]]]:
     """The messages of each sender and instance, block by block; the store is emptied."""
     for block in store.drained():
         for sender, rows_of_sender in by_sender(block):
             for instance, rows in _by_instance(block[rows_of_sender], instance_field):
-                yield _Group(sender, instance), rows
+                yield _SeriesId(sender, instance), rows
 
 
 def _by_instance(
     rows: NDArray[Any],
     instance_field: str,
 ) -> Iterator[tuple[Any, NDArray[Any]]]:
-    """Each instance, as sent, with its messages; None with all of them where there is no field."""
+    """Each instance, as sent, with its messages.
+
+    ``instance_field``: the name of the field with the instance; without such a field, "", the only
+    instance is None.
+    """
     if not instance_field:
         yield None, rows
         return
@@ -285,27 +296,27 @@ def times_of(
 ) -> SentTimes:
     """UTC and boot of (n,) messages of a sender.
 
-    ``field``: the one with the messages' own time. What counts, by field:
+    ``field``: the name of the field with the messages' own time, by which UTC comes from
 
     - "": the time of reception.
     - ``time_boot_ms``: the time since boot; of images the UTC that they carry, if it is right.
-    - ``time_usec``: Unix time from some senders, time since boot from others. A time of 0 is
-      unknown: the time of reception counts.
+    - ``time_usec``: Unix time from some senders, time since boot from others; the time of reception
+      if it is 0, which means unknown.
     """
     places = rows["place"]
     host_ns = rows["host_us"] * MICROSECOND
-    clock = clocks.of(sender)
+    clock = clocks.clock_of(sender)
     if not field:
         return SentTimes(
             clock.utc_of_host(places, host_ns),
-            clock.boot(places),
+            clock.boot_at(places),
         )
-    unit_ns, turn_ns = CLOCK_FIELDS[field]
+    unit_ns, wrap_ns = CLOCK_FIELDS[field]
     stamp = microseconds(rows["records"][field])  # cut at what no log can last
     stamp_ns = stamp * unit_ns
     boot_places = clock.boot_places(places, stamp_ns)
-    time_ns = clock.utc_of_boot(boot_places, host_ns, stamp_ns, turn_ns)
-    boot = clock.boot(boot_places)
+    time_ns = clock.utc_of_boot(boot_places, host_ns, stamp_ns, wrap_ns)
+    boot = clock.boot_at(boot_places)
     if field == "time_boot_ms":
         if sender not in clocks.wrong_utc:
             time_ns = _with_utc_of_images(rows, clock, time_ns)
@@ -319,7 +330,7 @@ def times_of(
     )
     not_since_boot = is_unix | is_unknown
     if not_since_boot.any():
-        boot[not_since_boot] = clock.boot(places[not_since_boot])
+        boot[not_since_boot] = clock.boot_at(places[not_since_boot])
         received_ns = host_ns[is_unknown]
         time_ns[is_unknown] = clock.utc_of_host(places[is_unknown], received_ns)
     return SentTimes(time_ns, boot)
@@ -330,7 +341,10 @@ def _with_utc_of_images(
     clock: SenderClock,
     time_ns: TimeArray,
 ) -> TimeArray:
-    """The times of (n,) messages [ns], of images the UTC that they carry, where they carry one."""
+    """``time_ns``, replaced by the UTC [ns] that the messages carry where they carry one.
+
+    Only images do.
+    """
     utc_us = unix_us(rows["records"])
     if not utc_us.any():
         return time_ns
@@ -346,7 +360,7 @@ def label_of(value: Any) -> str:
 
 
 def text_of(value: bytes) -> str:
-    """A char[] field: cut at the first NUL."""
+    """The text of a char[] field, up to the first NUL; bytes beyond ASCII are escaped."""
     letters, _, _ = value.partition(b"\0")
     return letters.decode("ascii", "backslashreplace")
 
@@ -355,7 +369,7 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
     """The rows of an autopilot's texts, with the chunks of one text joined.
 
     Chunks of one text have the same id and count from 0; a text of a single chunk has the id 0.
-    "..." stands for chunks that are missing. A joined text is in the row of its first chunk.
+    "..." is in the place of missing chunks. A joined text is in the row of its first chunk.
     """
     texts: list[str] = []
     first_rows: list[int] = []
@@ -371,7 +385,7 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
         if is_later_chunk and text_id in text_of_id and chunk >= due:
             missing = MISSING_CHUNK if chunk > due else ""
             texts[text_of_id[text_id]] += missing + text
-        else:  # a new text, of which the first chunks may be missing
+        else:  # a new text; its first chunks may be missing
             text_of_id[text_id] = len(texts)
             texts.append(MISSING_CHUNK + text if is_later_chunk else text)
             first_rows.append(row)
@@ -380,18 +394,19 @@ def whole_texts(rows: DecodedRows, records: NDArray[Any]) -> DecodedRows:
     return replace(with_texts, labels={"text": tuple(texts)})
 
 
-def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
-    """The rows of CAMERA_FEEDBACK that are exposures, each time once with its first index.
+def distinct_exposures(records: NDArray[Any], name: str, ledger: Ledger) -> Rows:
+    """The rows of CAMERA_FEEDBACK that are exposures: the first row of each exposure time.
 
-    ArduPilot repeats a row while it waits for the next pulse, maybe already with the next index.
-    Rows without a time are distinguished by their index; those without a place too are dropped.
+    ArduPilot repeats a row while it waits for the next pulse, maybe already with the next image
+    index. Rows without a time are distinguished by their index; rows with neither time nor place
+    are dropped. ``name``: of the channel, for the reports of all this.
     """
-    times_us = table["time_usec"]
-    indices = table["img_idx"].astype(np.uint64)
-    is_empty = (times_us == 0) & (table["lat"] == 0) & (table["lng"] == 0)
+    times_us = records["time_usec"]
+    indices = records["img_idx"].astype(np.uint64)
+    is_empty = (times_us == 0) & (records["lat"] == 0) & (records["lng"] == 0)
     empty_rows = int(np.count_nonzero(is_empty))
     if empty_rows:
-        total = table.shape[0]
+        total = records.shape[0]
         ledger.add(messages.empty_feedback(channel=name, count=empty_rows, total=total))
     keys = np.where(times_us == 0, indices, times_us)
     first_rows = _first_of_each(keys, ~is_empty, "the time of an exposure", name, ledger)
@@ -409,16 +424,19 @@ def distinct_exposures(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
     return first_rows
 
 
-def captured_images(table: NDArray[Any], name: str, ledger: Ledger) -> Rows:
-    """The rows of CAMERA_IMAGE_CAPTURED that are images, each once: cameras repeat some."""
-    failed = table["capture_result"] == 0
+def captured_images(records: NDArray[Any], name: str, ledger: Ledger) -> Rows:
+    """The rows of CAMERA_IMAGE_CAPTURED that are images: the first row of each, as some repeat.
+
+    ``name``: of the channel, for the reports of failed and repeated images.
+    """
+    failed = records["capture_result"] == 0
     failures = int(np.count_nonzero(failed))
     if failures:
-        total = table.shape[0]
+        total = records.shape[0]
         ledger.add(failed_exposures(channel=name, count=failures, total=total))
     # One image has one time and one index: both, of 32 bits each, are one number.
-    keys = table["time_boot_ms"].astype(np.int64) << 32
-    keys |= table["image_index"].astype(np.int64) & 0xFFFFFFFF
+    keys = records["time_boot_ms"].astype(np.int64) << 32
+    keys |= records["image_index"].astype(np.int64) & 0xFFFFFFFF
     return _first_of_each(keys, ~failed, "an image", name, ledger)
 
 
@@ -429,9 +447,10 @@ def _first_of_each(
     name: str,
     ledger: Ledger,
 ) -> Rows:
-    """The first of the good rows of each key; the repeated rows are reported.
+    """The first of the good rows of each key, rising; the repeated rows are reported.
 
-    ``key_words``: what a key stands for, for the report.
+    ``keys``: (n,) of all rows. ``good``: (n,) mask of the rows that count. ``key_words``: what a
+    key is, for the report.
     """
     rows = np.flatnonzero(good)
     _, first = np.unique(keys[rows], return_index=True)

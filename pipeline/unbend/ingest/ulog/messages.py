@@ -1,4 +1,4 @@
-"""What the reader of PX4 logs says: codes, and one function for each message and refusal."""
+"""Messages of the reader of PX4 logs: codes, and a function for each message and refusal."""
 
 from unbend.errors import Code, Counted, LogError
 from unbend.ingest.messages import LOG_DROPOUT, LOG_GAP
@@ -25,7 +25,7 @@ def header_cut_off(*, path: str, size: int, header_size: int) -> LogError:
 
 
 def unknown_flags(*, path: str, flags: bytes) -> LogError:
-    """The file says that an older reader must not read it."""
+    """Flags of the file state that a reader that does not know them must not read it."""
     return LogError(
         LOG_ULOG,
         "it sets incompatible flags ({flags}) that this version does not know",
@@ -75,7 +75,10 @@ def logger_dropouts(*, file: str, count: int, seconds: float) -> Message:
 def messages_cut_out(
     *, file: str, after_boot_s: float, count: int, seconds: float, missing: int
 ) -> Message:
-    """No topic has a message for a while."""
+    """Several times, or once, no topic has a message, ``seconds`` in total.
+
+    ``missing``: about how many messages usually come in this time.
+    """
     return finding(
         LOG_GAP,
         "the log is incomplete: {times} nothing was logged, {seconds:.3f} s together, about "

@@ -43,19 +43,19 @@ from unbend.messages import Ledger
 
 BOOT_UTC = "boot_time_utc_us"  # information message: UTC at time since boot 0 [us since 1970]
 SILENCE_NS = 100_000_000  # PX4 logs tens to hundreds of messages in this time
-SILENT_INTERVALS = 5.0  # of the topic with the shortest interval: no silence is shorter
-LONGEST_INTERVAL_NS = 200_000_000  # of a topic that shows whether anything was logged
-MOST_INTERVALS = 95.0  # percentile of the intervals of a topic that are short, if it is steady
-EARLY_ROWS = 2  # of a topic, that were sampled before the logger began
+SILENT_INTERVALS = 5.0  # no silence is shorter than this many usual intervals of the fastest topic
+MAX_STEADY_INTERVAL_NS = 200_000_000  # of a steady topic, which shows when nothing was logged
+LONG_INTERVAL_PERCENTILE = 95.0  # of the intervals of a topic; the others may be silences
+ROWS_BEFORE_LOG = 2  # of each topic: they may be sampled before the logger began
 
-_ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a log a boot
+_ONE_BOOT = timeline([(np.zeros(1, np.int64), np.zeros(1, np.int64))])  # a ULog is of one boot
 _ELEMENT = re.compile(r"\[(\d+)\]")
 
 TopicRows = Mapping[UlogTopic, NDArray[Any]]
 
 
 def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
-    """The contents of a PX4 log; ``witnesses`` are other clocks that tell its date."""
+    """The contents of a PX4 log; ``witnesses`` are other clocks that show its date."""
     log = _messages(path, list(PX4_TOPICS))
     log.report_damage(ledger, path.name)
     sources = _sources(log.rows)
@@ -98,7 +98,7 @@ ULOG = LogFormat("ulog", "PX4 ULog", (".ulg", ".ulog"), is_ulog, read_log)
 
 
 def _messages(path: Path, topics: list[str]) -> ULogMessages:
-    """The messages of a file, those of some topics as rows."""
+    """The messages of a file, those of ``topics`` as rows; LogError if it is not a whole ULog."""
     with open_view(path) as data:
         if data.size < FILE_HEADER:
             raise messages.header_cut_off(path=str(path), size=data.size, header_size=FILE_HEADER)
@@ -108,13 +108,13 @@ def _messages(path: Path, topics: list[str]) -> ULogMessages:
         return ULogMessages(data, topics)
 
 
-def _names(rows: NDArray[Any]) -> tuple[str, ...]:
-    """The fields of messages."""
+def _field_names(rows: NDArray[Any]) -> tuple[str, ...]:
+    """The names of the fields of messages."""
     return rows.dtype.names or ()
 
 
 def _sources(rows_of_topic: TopicRows) -> dict[UlogTopic, Source]:
-    """The sources of topics: instances have numbers where a topic has several."""
+    """The source of each topic; it has a number of instance only if the topic has several."""
     numbered = {topic.name for topic in rows_of_topic if topic.instance}
     sources = {}
     for topic in rows_of_topic:
@@ -124,19 +124,21 @@ def _sources(rows_of_topic: TopicRows) -> dict[UlogTopic, Source]:
 
 
 def _rows_by_instance(source: Source, rows: NDArray[Any]) -> Iterator[tuple[Source, NDArray[Any]]]:
-    """The rows of a topic by the instances that its field of ids tells apart, with their sources.
+    """The sources in a topic with their rows: one for each id in the topic's field of ids.
 
-    A topic without such a field, or with one id in all rows, is one source.
+    A topic without such a field, or with one id in all rows, is one source, as handed over.
     """
-    spec = PX4_TOPICS.get(source.message)  # None in a table of a topic that is no channel
+    spec = PX4_TOPICS.get(source.message)  # None in a table of a topic without a channel
     id_field = "" if spec is None else spec.id_field
-    rows_of_id = list(rows_by_value(rows[id_field])) if id_field in _names(rows) else []
+    rows_of_id = list(rows_by_value(rows[id_field])) if id_field in _field_names(rows) else []
     if len(rows_of_id) <= 1:
         yield source, rows
         return
-    for value, of_id in rows_of_id:
-        instance = str(value) if source.instance is None else f"{source.instance}.{value}"
-        yield replace(source, instance=instance), rows[of_id]
+    for value, id_rows in rows_of_id:
+        instance = str(value)
+        if source.instance is not None:
+            instance = f"{source.instance}.{value}"
+        yield replace(source, instance=instance), rows[id_rows]
 
 
 def _channel_name(source: Source) -> str:
@@ -149,10 +151,15 @@ def _channel_name(source: Source) -> str:
 def _channels_of_topic(
     topic: UlogTopic, rows: NDArray[Any], source: Source, offset_ns: int, ledger: Ledger
 ) -> list[Channel]:
-    """The channel of a topic, or two of events; ``offset_ns`` is UTC minus time since boot."""
+    """The channel of a topic, or two of events (`feedback_apart`); none without usable rows.
+
+    ``offset_ns`` is UTC minus time since boot.
+    """
     spec = PX4_TOPICS[topic.name]
     boot_ns = nanoseconds(rows["timestamp"])
-    fields = {_ELEMENT.sub(r".\1", name): rows[name] for name in _names(rows)}  # q[0] is "q.0"
+    fields = {
+        _ELEMENT.sub(r".\1", name): rows[name] for name in _field_names(rows)
+    }  # q[0] is "q.0"
     columns = extract(fields, spec.columns)
     if "flags" in columns:
         columns = earth_frame_attitude(columns)
@@ -171,7 +178,7 @@ def _channels_of_topic(
 
 
 def _texts_channel(texts: list[Text], offset_ns: int, ledger: Ledger) -> Channel | None:
-    """The channel of the texts of the vehicle; None without any."""
+    """The channel of the vehicle's texts, None without any; ``offset_ns``: UTC minus boot time."""
     boot_ns = nanoseconds(np.array([text.time_us for text in texts], np.uint64))
     decoded = DecodedRows(
         name="MSG",
@@ -185,9 +192,11 @@ def _texts_channel(texts: list[Text], offset_ns: int, ledger: Ledger) -> Channel
 
 
 class _Silences(NamedTuple):
-    """The silences of all topics: when the first begins, their number, and how long together [ns].
+    """Times in which no topic has a message.
 
-    ``logged_ns`` : the rest of the log.
+    first_ns : time since boot at which the first begins.
+    number : how many there are.
+    silent_ns, logged_ns : the length of all of them together, and of the log without them.
     """
 
     first_ns: int
@@ -197,13 +206,13 @@ class _Silences(NamedTuple):
 
 
 def report_silences(log: ULogMessages, path: Path, ledger: Ledger) -> None:
-    """Report silences of all topics: messages were cut out of the file, or never logged.
+    """Report times in which no topic has a message: messages were cut out, or not logged.
 
-    Where most of the time is silent, the logger was not running all the time: no loss.
+    If that is most of the time, the logger was not running all the time, and no loss is reported.
     """
     if _silences(log.rows) is None:
         return
-    # Topics that are not wanted may have gone on: only a log with a silence is read for these.
+    # Topics that are not read may have gone on: only a log with a silence is read again with them.
     silences = _silences(_messages(path, list(log.counts)).rows)
     if silences is None:
         return
@@ -234,23 +243,25 @@ def report_silences(log: ULogMessages, path: Path, ledger: Ledger) -> None:
 
 
 def _silences(rows_of_topic: TopicRows) -> _Silences | None:
-    """The silences of all of some topics; None without any.
+    """The times in which none of these topics has a message; None without any.
 
-    A silence is a time without a message of any topic. Which times are silences, and from when on,
-    only the steady topics show, whose intervals are short throughout; without these there are none.
-    Stray stamps do not count, nor the first rows, which may be older than the log.
+    How long a time must be to count, and from when on, the steady topics show: those with short
+    intervals throughout. Without a steady topic there are no silences. Stray stamps are left out,
+    and the first rows of each topic, which may be older than the log.
     """
     times_of_topics = []
     begin_ns = 0  # when all steady topics have begun
     shortest_ns = float("inf")  # the usual interval of the fastest steady topic
     for rows in rows_of_topic.values():
-        time_ns = nanoseconds(rows["timestamp"])[EARLY_ROWS:]
+        time_ns = nanoseconds(rows["timestamp"])[ROWS_BEFORE_LOG:]
         time_ns = time_ns[~stray_times(time_ns)]
         times_of_topics.append(time_ns)
         if time_ns.size <= STRAY_ROWS:
             continue
-        usual_ns, long_ns = np.percentile(np.diff(time_ns), [50.0, MOST_INTERVALS]).tolist()
-        is_steady = long_ns <= LONGEST_INTERVAL_NS
+        usual_ns, long_ns = np.percentile(
+            np.diff(time_ns), [50.0, LONG_INTERVAL_PERCENTILE]
+        ).tolist()
+        is_steady = long_ns <= MAX_STEADY_INTERVAL_NS
         if is_steady:
             begin_ns = max(begin_ns, int(time_ns[0]))
             shortest_ns = min(shortest_ns, usual_ns)
@@ -276,11 +287,12 @@ def _clock(
     ledger: Ledger,
     witnesses: Sequence[Witness],
 ) -> BootClock:
-    """The clock of a log: UTC by its receivers; without a fix by what else states UTC.
+    """Fit UTC to the time since boot of a log.
 
-    That is the UTC of camera captures; without such, that of the boot, which the logger writes when
-    the vehicle's clock has been set: by a receiver, a companion computer or a ground station. The
-    UTC of the boot also tells the date of the log, as a weak witness.
+    UTC is that of its receivers. Without a fix it is the UTC of camera captures; without these that
+    of the boot, which the logger writes when the vehicle's clock has been set: by a receiver, a
+    companion computer or a ground station. The UTC of the boot also shows the date of the log, as a
+    weak witness.
     """
     unchecked = []
     for captures in _utc_readings(log.rows, sources, "events", CAPTURE_UTC_FIELD):
@@ -300,7 +312,7 @@ def _clock(
 
 
 def _utc_of_boot_time(log: ULogMessages) -> list[UtcReadings]:
-    """UTC of the boot as the logger wrote it (``boot_time_utc_us``); none where it did not."""
+    """A reading of the UTC of the boot, if the logger wrote it (`BOOT_UTC`); else an empty list."""
     utc_us = log.numbers.get(BOOT_UTC, 0.0)
     if not FIRST_SET_US < utc_us < LAST_US:  # also not a number
         return []
@@ -320,7 +332,7 @@ def _utc_of_boot_time(log: ULogMessages) -> list[UtcReadings]:
 
 
 def _time_base(clock: BootClock) -> str:
-    """Where the UTC of a log comes from, in words."""
+    """Where the UTC of a log comes from, in words, for inspections and reports."""
     fit = clock.fits[0]
     if fit is None:
         return "vehicle clock; UTC is unknown"
@@ -330,14 +342,14 @@ def _time_base(clock: BootClock) -> str:
 def _utc_readings(
     rows_of_topic: TopicRows, sources: Mapping[UlogTopic, Source], role: str, field: str
 ) -> list[UtcReadings]:
-    """The UTC beside the time since boot, of each topic that may play a role and has the field."""
+    """UTC and time since boot in the rows of each topic with this role and this field of UTC."""
     readings = []
     for topic, rows in rows_of_topic.items():
-        if role not in PX4_TOPICS[topic.name].roles or field not in _names(rows):
+        if role not in PX4_TOPICS[topic.name].roles or field not in _field_names(rows):
             continue
         boot_ns = nanoseconds(rows["timestamp"])
         utc_us = microseconds(rows[field])
-        fix = rows["fix_type"] if "fix_type" in _names(rows) else np.empty(0)
+        fix = rows["fix_type"] if "fix_type" in _field_names(rows) else np.empty(0)
         readings.append(
             rows_of(
                 _channel_name(sources[topic]),
@@ -352,7 +364,11 @@ def _utc_readings(
 
 
 def _table(path: Path, offset_ns: int, topic: str, instance: str | None) -> Table:
-    """The messages of a topic, or of one of its instances, instance by instance."""
+    """The messages of a topic with their times and all fields, instance by instance.
+
+    ``offset_ns``: UTC minus time since boot. ``instance`` None for all of them. The table is empty
+    if there are no messages.
+    """
     rows_of_instances = []
     instance_columns = []
     rows_of_topic = _messages(path, [topic]).rows
@@ -370,6 +386,6 @@ def _table(path: Path, offset_ns: int, topic: str, instance: str | None) -> Tabl
         "time_ns": nanoseconds(rows["timestamp"]) + offset_ns,
         "instance": np.concatenate(instance_columns),
     }
-    for name in _names(rows):
+    for name in _field_names(rows):
         table[name] = rows[name]
     return table

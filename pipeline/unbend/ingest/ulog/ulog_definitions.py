@@ -14,14 +14,14 @@ TYPES = {
     "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4", "float": "<f4", "int64_t": "<i8",
     "uint64_t": "<u8", "double": "<f8",
 }  # fmt: skip
-DEEPEST = 8  # formats inside each other
-LONGEST_DATA = 0xFFFF  # [bytes]: the size of a message has two bytes
+MAX_DEPTH = 8  # of formats inside each other
+MAX_DATA_SIZE = 0xFFFF  # [bytes]: the size of a message has two bytes
 _FIELD = re.compile(r"(?P<kind>\w+)(?:\[(?P<count>\d{1,5})\])? (?P<name>\w+)")
-_PADDING = "_padding"
+_PADDING = "_padding"  # names of fields without content begin so
 
 
 class Field(NamedTuple):
-    """A field of a format: its type, number of elements (0 for no array) and name."""
+    """A field of a format: its type, number of elements (0 if it is not an array) and name."""
 
     kind: str
     elements: int
@@ -39,13 +39,17 @@ _TIMESTAMP = Field("uint64_t", 0, "timestamp")
 
 
 def _size(fields: list[FlatField]) -> int:
-    """The bytes of fields."""
+    """How many bytes the values of these fields have together."""
     return sum(np.dtype(field.dtype).itemsize for field in fields)
 
 
 @dataclass
 class FlatFormats:
-    """Formats that `flat_fields` has taken apart, by name, and how many fields they have."""
+    """The formats that `flat_fields` has flattened.
+
+    fields : the fields of each by the format's name, None of a format that cannot be used.
+    count : of the fields of all formats.
+    """
 
     fields: dict[str, list[FlatField] | None] = field(default_factory=dict)
     count: int = 0
@@ -55,23 +59,24 @@ def flat_fields(
     name: str,
     formats: dict[str, list[Field]],
     depth: int = 0,
-    flat: FlatFormats | None = None,
+    flattened: FlatFormats | None = None,
 ) -> list[FlatField] | None:
     """Names and types of all numbers of a format, also of formats nested in it, and of padding.
 
-    None if a part of the format is not defined, or if it is longer than a message can be. ``flat``
-    gets the formats that are taken apart on the way. LogError if all of these have more fields than
-    any log (LOG-TOO-LARGE).
+    ``depth``: how many formats are around this one. ``flattened`` gets the formats that are
+    flattened on the way. None if a part of the format is not defined or contains the format itself,
+    or if it is longer than a message can be. LogError if all flattened formats have more fields
+    than any log (LOG-TOO-LARGE).
 
     >>> flat_fields("a", {"a": [Field("b", 2, "x")], "b": [Field("float", 0, "y")]})
     [FlatField(path='x[0].y', dtype='<f4'), FlatField(path='x[1].y', dtype='<f4')]
     """
-    flat = FlatFormats() if flat is None else flat
-    if name in flat.fields:
-        return flat.fields[name]
-    if name not in formats or depth > DEEPEST:
+    flattened = FlatFormats() if flattened is None else flattened
+    if name in flattened.fields:
+        return flattened.fields[name]
+    if name not in formats or depth > MAX_DEPTH:
         return None
-    flat.fields[name] = None  # also of a format that lies within itself
+    flattened.fields[name] = None  # stays None of a format that contains itself
     result: list[FlatField] = []
     size = 0
     for part in formats[name]:
@@ -79,43 +84,50 @@ def flat_fields(
         if part.kind in TYPES:
             inner = [FlatField("", TYPES[part.kind])]
         else:
-            inner = flat_fields(part.kind, formats, depth + 1, flat)
+            inner = flat_fields(part.kind, formats, depth + 1, flattened)
         if not inner:
             return None
         size += max(part.elements, 1) * _size(inner)
-        if size > LONGEST_DATA:  # before its elements are made, which may be many
+        if size > MAX_DATA_SIZE:  # before its elements are made, which may be many
             return None
         result += _elements(part, inner)
-    flat.fields[name] = result
-    flat.count += len(result)
-    check_fields(flat.count)
+    flattened.fields[name] = result
+    flattened.count += len(result)
+    check_fields(flattened.count)
     return result
 
 
 def _elements(field: Field, inner: list[FlatField]) -> Iterator[FlatField]:
-    """The numbers of all elements of a field; ``inner`` are those of one element."""
+    """The numbers of all elements of a field; ``inner``: the numbers of one element."""
     names = [field.name]
     if field.elements:
-        names = [f"{field.name}[{k}]" for k in range(field.elements)]
+        names = [f"{field.name}[{index}]" for index in range(field.elements)]
     for name in names:
         for path, dtype in inner:
             yield FlatField(f"{name}.{path}" if path else name, dtype)
 
 
-class Definitions:
-    """The formats of a file, and the ``layouts`` of the topics with a timestamp.
+class DataSizes(NamedTuple):
+    """The bytes of a topic's data without and with the padding at its end, not always logged."""
 
-    `sizes_of` adds the layout of a topic.
+    without_padding: int
+    with_padding: int
+
+
+class Definitions:
+    """The formats of a file by name, and the numpy types of the data of topics, ``layouts``.
+
+    `sizes_of` adds the layout of a topic, if the topic has a timestamp.
     """
 
     def __init__(self) -> None:
         self.formats: dict[str, list[Field]] = {}
         self.layouts: dict[str, np.dtype[Any]] = {}
         self._flattened = FlatFormats()
-        self._sizes: dict[str, tuple[int, int] | None] = {}
+        self._sizes: dict[str, DataSizes | None] = {}
 
     def add_format(self, content: bytes) -> bool:
-        """Add the format that a definition message holds; False if that is damaged."""
+        """Add the format in the content of a definition message; False if that is damaged."""
         name, colon, text = content.decode("ascii", "replace").partition(":")
         fields = []
         for part in text.split(";"):
@@ -136,20 +148,20 @@ class Definitions:
         self._sizes.clear()
         return True
 
-    def sizes_of(self, name: str) -> tuple[int, int] | None:
-        """The bytes of a topic's data without and with the padding at its end, not always logged.
+    def sizes_of(self, name: str) -> DataSizes | None:
+        """The sizes of a topic's data.
 
         None if the topic is not defined, or two of its fields have the same path. If the topic has
-        a timestamp, its layout without that padding is added to ``layouts``.
+        a timestamp, its layout without the padding at the end is added to ``layouts``.
         """
         if name not in self._sizes:
             self._sizes[name] = self._new_sizes(name)
         return self._sizes[name]
 
-    def _new_sizes(self, name: str) -> tuple[int, int] | None:
-        """The sizes of a topic that is taken apart for the first time."""
-        fields = list(flat_fields(name, self.formats, flat=self._flattened) or [])
-        with_padding = _size(fields)
+    def _new_sizes(self, name: str) -> DataSizes | None:
+        """The sizes of a topic that is asked for the first time; its layout is added."""
+        fields = list(flat_fields(name, self.formats, flattened=self._flattened) or [])
+        size_with_padding = _size(fields)
         while fields and fields[-1].path.startswith(_PADDING):
             fields.pop()
         has_repeated_paths = len({field.path for field in fields}) < len(fields)
@@ -158,11 +170,14 @@ class Definitions:
         layout = np.dtype([(field.path, field.dtype) for field in fields])
         if _TIMESTAMP in self.formats[name]:
             self.layouts[name] = layout
-        return layout.itemsize, with_padding
+        return DataSizes(layout.itemsize, size_with_padding)
 
 
 def dtype_of_value(key: re.Match[bytes] | None) -> np.dtype[Any] | None:
-    """The numpy type of a keyed value; None where that is a text, an array or not known."""
+    """The numpy type of a keyed value; None if that is an array (also a text) or not known.
+
+    ``key``: the match of a key as in ``int32_t NAME``, None without one.
+    """
     if key is None:
         return None
     kind = TYPES.get(key["type"].decode())

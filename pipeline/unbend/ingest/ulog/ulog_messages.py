@@ -18,7 +18,7 @@ from unbend.ingest.buffers import ColumnStore, FileView, gather
 from unbend.ingest.damaged_bytes import DamagedBytes
 from unbend.ingest.messages import rows_without_field
 from unbend.ingest.ulog import messages
-from unbend.ingest.ulog.ulog_definitions import Definitions, dtype_of_value
+from unbend.ingest.ulog.ulog_definitions import DataSizes, Definitions, dtype_of_value
 from unbend.messages import Ledger
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -30,11 +30,11 @@ APPENDED = 1  # the first bit of the incompatible flags, the only one that is de
 SPAN = 4 << 20  # [bytes] walked at once
 NEAR = 4096  # [bytes] searched first after damage
 LONGEST = HEAD.size + 0xFFFF
-LINKS = 3  # messages in a row that prove a place after damage
+LINKS = 3  # messages that follow each other prove a place after damage
 _KIND_PLACE = 2  # of the kind in a message: behind the size
-_NUMBER = 2  # [bytes] of the number of a topic, at the beginning of data
-_TIME = 8  # [bytes] of a time since boot
-_LEAST_UNKNOWN = _NUMBER + _TIME  # [bytes] of data whose definition was lost: it begins so
+_NUMBER_SIZE = 2  # [bytes] of the number of a topic, at the beginning of data
+_TIME_SIZE = 8  # [bytes] of a time since boot
+_LEAST_UNKNOWN = _NUMBER_SIZE + _TIME_SIZE  # [bytes] that any data has, also of a lost definition
 
 
 class MessageKind:
@@ -70,7 +70,7 @@ _BEFORE_KEY = {
 }
 _BEFORE_TEXT = {MessageKind.TEXT: 1, MessageKind.TAGGED_TEXT: 3}  # [bytes]: the level, and a tag
 _LEVELS = tuple(bytes([level]) for level in b"01234567")
-_LONGEST_KEYED = 2 + 255  # [bytes] that show whether a message is one: its key, at most
+_LONGEST_KEYED = 2 + 255  # [bytes] up to the end of the longest key: enough to check any message
 _KEY = re.compile(rb"(?P<type>[\w\[\]]+) (?P<name>[\w.:-]+)")
 
 
@@ -82,7 +82,7 @@ class FileFlags(NamedTuple):
 
 
 def flags_of(data: FileView) -> FileFlags:
-    """The flags of a file; none where it has no message of them."""
+    """The flags of a file; all 0 where it has no message with flags."""
     raw = data[FILE_HEADER : FILE_HEADER + HEAD.size + FLAGS.size]
     if len(raw) < HEAD.size + FLAGS.size or raw[_KIND_PLACE] != MessageKind.FLAGS:
         return FileFlags(bytes(8), [])
@@ -94,7 +94,7 @@ def flags_of(data: FileView) -> FileFlags:
 
 
 class UlogTopic(NamedTuple):
-    """A topic and which of its instances."""
+    """A topic and the number of one of its instances, from 0."""
 
     name: str
     instance: int
@@ -108,21 +108,24 @@ class Text(NamedTuple):
 
 
 class _View(NamedTuple):
-    """Bytes of the file, and where in it they begin."""
+    """Bytes of the file, and the place in the file where they begin."""
 
     raw: bytes
     base: int
 
 
 class _KeyedValue(NamedTuple):
-    """A value of a parameter or an information message, with its type and name."""
+    """A value of a parameter or an information message: its bytes, and its key.
+
+    ``key``: the match with its ``type`` and ``name``; None if it is damaged.
+    """
 
     key: re.Match[bytes] | None
     raw: bytes
 
 
 def _keyed_value(content: bytes, kind: int) -> _KeyedValue:
-    """The key and the value in the content of a keyed message."""
+    """The key and the value in the content of a keyed message, which has a whole key."""
     length_at = _BEFORE_KEY[kind]
     begin = length_at + 1
     end = begin + content[length_at]
@@ -131,13 +134,16 @@ def _keyed_value(content: bytes, kind: int) -> _KeyedValue:
 
 
 class ULogMessages(DamagedBytes):
-    """The messages of a file with a whole header, those of the ``wanted`` topics as rows."""
+    """The messages of a file with a whole header, those of the ``wanted`` topics as rows.
+
+    The file is read when the object is made.
+    """
 
     def __init__(self, data: FileView, wanted: Collection[str]) -> None:
         super().__init__()
         self.counts: Counter[str] = Counter()  # by topic
         self.rows: dict[UlogTopic, NDArray[Any]] = {}
-        self.timeless: set[str] = set()  # topics without a timestamp, which have no rows
+        self.without_timestamp: set[str] = set()  # topics without a timestamp, which have no rows
         self.damaged_values = 0  # parameters and information of a wrong length
         self.dropouts_ms: list[int] = []  # of the logger
         self.texts: list[Text] = []  # of the vehicle
@@ -145,19 +151,23 @@ class ULogMessages(DamagedBytes):
         self.numbers: dict[str, float] = {}  # the last value of information that is a number
         self.definitions = Definitions()
         self.topics: dict[int, UlogTopic] = {}  # by number
-        self.sizes: dict[int, tuple[int, int]] = {}  # of data: without and with padding
+        self.sizes: dict[int, DataSizes] = {}  # by number of the topic
         self._data = data
         self._wanted = wanted
         self._defining = True  # until the first subscription or text
         self._appended = flags_of(data).appended
-        self._places: defaultdict[int, list[int]] = defaultdict(list)  # of data, in one block
+        # Places of data messages in the present span, by number of the topic.
+        self._places: defaultdict[int, list[int]] = defaultdict(list)
         self._stores: dict[UlogTopic, ColumnStore] = {}
         self._walk()
 
     def report_damage(self, ledger: Ledger, file_name: str) -> None:
-        """Enter what is damaged. The format does not number messages: lost ones are not counted."""
+        """Enter damage and dropouts in the ledger.
+
+        Lost messages are not counted, because the format does not number messages.
+        """
         self.report_bytes(ledger, file_name, "message")
-        for topic in sorted(self.timeless):
+        for topic in sorted(self.without_timestamp):
             without_time = rows_without_field(
                 where=topic,
                 count=self.counts[topic],
@@ -193,7 +203,7 @@ class ULogMessages(DamagedBytes):
             place = self._pass_data(view.raw, place, end)
             if place >= end:
                 break
-            length = self._length(view, place)
+            length = self._message_length(view, place)
             if not length:
                 place = self._resume(view, place) - view.base
                 if self.is_hopeless(self._data.size):
@@ -206,9 +216,9 @@ class ULogMessages(DamagedBytes):
         return place
 
     def _pass_data(self, raw: bytes, place: int, end: int) -> int:
-        """Take messages of data that follow each other; returns where something else begins.
+        """Take messages of data that follow each other; returns the place of the first other one.
 
-        Most of a file is such data: this loop is short for the sake of time.
+        ``end``: where in ``raw`` to stop. Most of a file is such data, so this loop has to be fast.
         """
         if self._appended:  # such files are read message by message
             return place
@@ -223,30 +233,30 @@ class ULogMessages(DamagedBytes):
             if kind != MessageKind.DATA or following > raw_length or number not in sizes:
                 break
             least, most = sizes[number]
-            if not least <= size - _NUMBER <= most:
+            if not least <= size - _NUMBER_SIZE <= most:
                 break
             places_of[number].append(place)
             place = following
         return place
 
     def _store_data(self, view: NDArray[np.uint8]) -> None:
-        """Count the data of a span, and decode that of the wanted topics."""
+        """Count the data of a span, the bytes ``view``, and decode that of the wanted topics."""
         for number, places in self._places.items():
             topic = self.topics[number]
             self.counts[topic.name] += len(places)
             layout = self.definitions.layouts.get(topic.name)
             if layout is None:
-                self.timeless.add(topic.name)
+                self.without_timestamp.add(topic.name)
             elif topic.name in self._wanted:
                 store = self._stores.setdefault(topic, ColumnStore(layout))
                 starts = np.array(places, np.int64) + DATA.size
                 store.add(gather(view, starts, layout.itemsize).view(layout))
         self._places.clear()
 
-    def _length(self, view: _View, place: int, *, loose: bool = False) -> int:
-        """The length of the message that begins here; 0 where none does.
+    def _message_length(self, view: _View, place: int, *, allow_unknown_topic: bool = False) -> int:
+        """The length [bytes] of the message at a place of the view; 0 if none begins there.
 
-        ``loose``: a message of data counts also if its topic is not known.
+        ``allow_unknown_topic``: accept a message of data also if its topic is not subscribed.
         """
         if place + HEAD.size > len(view.raw):
             return 0
@@ -257,28 +267,30 @@ class ULogMessages(DamagedBytes):
             return 0
         if any(begin < appended < begin + length for appended in self._appended):
             return 0  # a crash cut the message off, before data was appended
-        may_be_unknown_data = loose and kind == MessageKind.DATA and size >= _LEAST_UNKNOWN
-        if self._fits(view, place) or may_be_unknown_data:
+        may_be_unknown_data = (
+            allow_unknown_topic and kind == MessageKind.DATA and size >= _LEAST_UNKNOWN
+        )
+        if self._is_plausible(view, place) or may_be_unknown_data:
             return length
         return 0
 
-    def _fits(self, view: _View, place: int) -> bool:
-        """Whether the size and the first bytes of a message are possible for its kind."""
+    def _is_plausible(self, view: _View, place: int) -> bool:
+        """Whether the message at a place has a size and first bytes that its kind can have."""
         size, kind = HEAD.unpack_from(view.raw, place)
         begin = place + HEAD.size
         content = view.raw[begin : begin + _LONGEST_KEYED]
         if kind in _FIXED_SIZES:
             return bool(size == _FIXED_SIZES[kind])
-        if kind in _BEFORE_TEXT:  # what the vehicle says has no other mark than its level
-            return size > 1 + _TIME and content[:1] in _LEVELS
+        if kind in _BEFORE_TEXT:  # only the level shows that it is a text
+            return size > 1 + _TIME_SIZE and content[:1] in _LEVELS
         if kind in _BEFORE_KEY:
             return _has_key(content, kind, size)
         if kind == MessageKind.DATA:
-            number = int.from_bytes(content[:_NUMBER], "little")
+            number = int.from_bytes(content[:_NUMBER_SIZE], "little")
             if number not in self.sizes:
                 return False
             least, most = self.sizes[number]
-            return bool(least <= size - _NUMBER <= most)
+            return bool(least <= size - _NUMBER_SIZE <= most)
         if kind == MessageKind.FLAGS:
             return bool(view.base + place == FILE_HEADER and size >= FLAGS.size)
         return kind in (MessageKind.FORMAT, MessageKind.SUBSCRIPTION)
@@ -286,14 +298,14 @@ class ULogMessages(DamagedBytes):
     def _take(self, raw: bytes, place: int, length: int) -> bool:
         """Take a message; False where a definition or a subscription cannot be used.
 
-        Messages of the other kinds, of which nothing is kept, are passed over.
+        Messages of kinds that are not read are passed over.
         """
         kind = raw[place + _KIND_PLACE]
         content = raw[place + HEAD.size : place + length]
         if kind == MessageKind.DATA:
-            number = int.from_bytes(content[:_NUMBER], "little")
+            number = int.from_bytes(content[:_NUMBER_SIZE], "little")
             self._places[number].append(place)
-        elif kind == MessageKind.FORMAT:  # a format among the data is not valid
+        elif kind == MessageKind.FORMAT:  # behind the definitions a format is not valid
             return self._defining and self.definitions.add_format(content)
         elif kind == MessageKind.SUBSCRIPTION:
             self._defining = False
@@ -308,7 +320,7 @@ class ULogMessages(DamagedBytes):
         return True
 
     def _subscribe(self, content: bytes) -> bool:
-        """Take a subscription; False where its format is not defined or its number is taken.
+        """Take a subscription; False if its topic is not defined or its number is of another topic.
 
         The content: the instance in one byte, the number of the topic in two, the name.
         """
@@ -326,16 +338,16 @@ class ULogMessages(DamagedBytes):
         return True
 
     def _take_text(self, content: bytes) -> None:
-        """Keep a text of the vehicle with its time."""
-        if len(content) >= _TIME:
-            time_us = int.from_bytes(content[:_TIME], "little")
-            words = content[_TIME:].decode("utf-8", "replace")
+        """Keep a text of the vehicle and the time before it; drop it if it is too short."""
+        if len(content) >= _TIME_SIZE:
+            time_us = int.from_bytes(content[:_TIME_SIZE], "little")
+            words = content[_TIME_SIZE:].decode("utf-8", "replace")
             self.texts.append(Text(time_us, words))
 
     def _take_value(self, kind: int, content: bytes) -> None:
-        """Check the length of a value with a key, and keep a number of the kinds that are used.
+        """Check the length of a value with a key, and keep it if it is a number that is used.
 
-        Kept are parameters, but not their defaults, and information that is in one part.
+        Used are parameters, but not their defaults, and information that is in one part.
         """
         value = _keyed_value(content, kind)
         dtype = dtype_of_value(value.key)
@@ -351,20 +363,20 @@ class ULogMessages(DamagedBytes):
             self.numbers[name] = _first_number(value.raw, dtype)
 
     def _resume(self, view: _View, place: int) -> int:
-        """Where in the file messages go on after a place that begins none.
+        """Pass over damage at a place of the view; returns where in the file messages go on.
 
-        What is passed over is counted: data whose definition was lost, if messages follow it; else
-        all bytes up to the next place from which messages follow each other.
+        The bytes up to there are counted: either one message of data with a lost definition, if
+        messages follow it, or all bytes up to the next place that `_is_proved`.
         """
         begin = view.base + place
-        length_of_unknown = self._length(view, place, loose=True)
+        length_of_unknown = self._message_length(view, place, allow_unknown_topic=True)
         number = int.from_bytes(view.raw[place + HEAD.size : place + DATA.size], "little")
         is_unknown = length_of_unknown > 0 and number not in self.sizes
-        if is_unknown and self._linked(view, place + length_of_unknown):
+        if is_unknown and self._is_proved(view, place + length_of_unknown):
             resumed = begin + length_of_unknown
             self.drop(begin, resumed)
             return resumed
-        resumed = self._next_linked(begin + 1)
+        resumed = self._next_proved(begin + 1)
         if resumed < self._data.size:
             self.drop_searched(begin, resumed)
         elif self._is_cut_message(begin):
@@ -373,8 +385,8 @@ class ULogMessages(DamagedBytes):
             self.drop_searched(begin, self._data.size)
         return resumed
 
-    def _next_linked(self, begin: int) -> int:
-        """The first place from here on where messages follow each other, or the file's end."""
+    def _next_proved(self, begin: int) -> int:
+        """The first place of the file from ``begin`` on that `_is_proved`, or the file's end."""
         reach = NEAR
         while begin < self._data.size:
             data = self._data.array(begin, begin + reach + LONGEST * LINKS)
@@ -385,32 +397,32 @@ class ULogMessages(DamagedBytes):
                 if begin <= place < begin + reach:
                     starts.append(place - begin)
             for start in sorted(set(starts)):
-                if self._linked(view, start):
+                if self._is_proved(view, start):
                     return int(begin + start)
             begin += reach
             reach = SPAN
         return self._data.size
 
-    def _is_cut_message(self, at: int) -> bool:
-        """Whether the file ends in a message that begins here."""
-        last_bytes = self._data[at : at + LONGEST]
+    def _is_cut_message(self, begin: int) -> bool:
+        """Whether the end of the file cuts off a message that begins at this place of the file."""
+        last_bytes = self._data[begin : begin + LONGEST]
         if len(last_bytes) < DATA.size:
             return True
         size, _ = HEAD.unpack_from(last_bytes)
         is_cut = HEAD.size + size > len(last_bytes)
-        return is_cut and self._fits(_View(last_bytes, at), 0)
+        return is_cut and self._is_plausible(_View(last_bytes, begin), 0)
 
-    def _linked(self, view: _View, place: int) -> bool:
-        """Whether three messages follow each other from here, or fewer up to the file's end.
+    def _is_proved(self, view: _View, place: int) -> bool:
+        """Whether `LINKS` messages follow each other from a place on, or fewer up to the end.
 
-        Where data was appended, no proof is needed. Only behind the first message may there be data
-        whose topic is not known.
+        A place where data was appended counts as proved. The messages behind the first may be data
+        of a topic that is not subscribed.
         """
         if view.base + place in self._appended:
             return True
         reaches_end = view.base + len(view.raw) >= self._data.size
         for link in range(LINKS):
-            length = self._length(view, place, loose=link > 0)
+            length = self._message_length(view, place, allow_unknown_topic=link > 0)
             if not length:
                 return False
             place += length
@@ -420,13 +432,16 @@ class ULogMessages(DamagedBytes):
 
 
 def _first_number(raw: bytes, dtype: np.dtype[Any]) -> float:
-    """The first number of a value."""
+    """The number, the first if there are several, in the bytes of a value."""
     numbers = np.frombuffer(raw, dtype)
     return float(numbers[0])
 
 
 def _has_key(content: bytes, kind: int, size: int) -> bool:
-    """Whether a keyed message of so many bytes begins with a whole key."""
+    """Whether the content of a keyed message, of ``size`` bytes in total, has a valid whole key.
+
+    ``content``: its first bytes.
+    """
     length_at = _BEFORE_KEY[kind]
     if length_at >= min(size, len(content)):
         return False
