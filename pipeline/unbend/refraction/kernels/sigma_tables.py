@@ -37,18 +37,19 @@ class TablePlace(NamedTuple):
 
 
 class _OnSphere(NamedTuple):
-    """What the sphere does to values of the plane."""
+    """How values on the sphere follow from those in the plane."""
 
-    sigma_factor: float  # of sigma_R
-    angle_factor: float  # of dR/dzeta
-    mode: float  # that of the plane, and the sphere's summand
+    sigma_factor: float  # by which sigma_R of the plane is multiplied
+    angle_factor: float  # by which dR/dzeta of the plane is multiplied
+    mode: float  # what the mode changes in R / (tan(zeta) way), on the sphere
 
 
 @jit
 def _place_at(position, count):  # type: ignore[no-untyped-def]
-    """The `TablePlace` at a position, in nodes, on an axis of ``count`` nodes.
+    """The `TablePlace` at a position on an axis of ``count`` nodes.
 
-    A position beyond the axis gets the place at its end.
+    The position is a number of nodes from the first, with a fraction; beyond the axis it gets the
+    place at the axis' end.
     """
     inside = min(max(position, 0.0), count - 1.0)
     node = min(int(inside), count - 2)
@@ -57,7 +58,7 @@ def _place_at(position, count):  # type: ignore[no-untyped-def]
 
 @jit
 def linear(table, place):  # type: ignore[no-untyped-def]
-    """The value of a table (n,) at a `TablePlace`."""
+    """The value of a table (n,) at a `TablePlace`, linear between two nodes."""
     i = place.node
     return table[i] + place.share * (table[i + 1] - table[i])
 
@@ -75,10 +76,11 @@ def _bilinear(table, row_place, column_place):  # type: ignore[no-untyped-def]
 
 @jit
 def _on_sphere(factors, height, way, incidence, mode_in_plane):  # type: ignore[no-untyped-def]
-    """The `_OnSphere` between the eight nodes around three `TablePlace`.
+    """The `_OnSphere` at three `TablePlace`, linear between the eight nodes around them.
 
-    ``factors`` are those of `AirTables`. The three bits of a corner's number say on which axes it
-    lies at the next node.
+    ``factors`` (f, j, k, 3) are those of `AirTables`; ``height``, ``way`` and ``incidence`` the
+    places on its axes. The three bits of a corner's number state on which axes the corner is at the
+    next node.
     """
     sigma_factor = 0.0
     angle_factor = 0.0
@@ -102,10 +104,11 @@ def _on_sphere(factors, height, way, incidence, mode_in_plane):  # type: ignore[
 
 @within
 def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
-    """Fill where ``count`` rays are in the tables ``air``, their `DROP`, and `ONE_IF_KNOWN`.
+    """Fill the positions of ``count`` rays on the axes of ``air``, the `AirTables`.
 
-    The tables do not serve a ray to a target at or above the camera, nor a ray that is nearly level
-    at the target: its `ONE_IF_KNOWN` becomes NaN, and its positions are 0, which any table has.
+    Also filled are `DROP` and `ONE_IF_KNOWN`. The tables do not serve a ray to a target at or above
+    the camera, nor a ray that is nearly level at the target: its `ONE_IF_KNOWN` becomes NaN, and
+    its positions are 0, which any table has.
 
     The conditions are joined by &, which evaluates all of them, because branches are slower.
     """
@@ -138,7 +141,7 @@ def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
 
 
 @jit
-def interpolate(room, count, air, station):  # type: ignore[no-untyped-def]
+def interpolate_air(room, count, air, station):  # type: ignore[no-untyped-def]
     """Fill `SIGMA_BY_TANGENT` to `N_GROUND` of ``count`` rays from their positions in the tables.
 
     ``air`` are the `AirTables`, ``station`` is the `Station` of the rays' exposure. NaN in, NaN
@@ -163,7 +166,7 @@ def interpolate(room, count, air, station):  # type: ignore[no-untyped-def]
         if window_kind >= 0:
             room[SIGMA_AIR_X, i] = _bilinear(air.behind[window_kind, 0], camera, way)
             room[SHARED_AIR_XY, i] = _bilinear(air.behind[window_kind, 1], camera, way)
-        # On the sphere. The tables hold values over the way, which is `DROP`.
+        # On the sphere. The tables contain values divided by the way, which is `DROP`.
         coarse_way = _place_at(room[COARSE_POSITION, i], factors.shape[1])
         incidence = _place_at(room[INCIDENCE_POSITION, i], factors.shape[2])
         sphere = _on_sphere(factors, height, coarse_way, incidence, mode_in_plane)
