@@ -33,7 +33,7 @@ _COMMON_SLOPE = 0.2
 _HALVINGS = 44  # of the panels of such a layer: the narrowest is 6e-14 of it
 
 LOWEST_TERRAIN_M = -500.0
-"""No dry land is lower. A ray whose lowest point is deeper meets the ground before it."""
+"""No dry land is lower. A ray with a deeper lowest point meets the ground before that."""
 
 _HALVINGS_OF_HEIGHT = 80  # at most, in the search for the height of the lowest point
 _HALVINGS_OF_LAYER = 60  # in the search for the smallest n r in a layer

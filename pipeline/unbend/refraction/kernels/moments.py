@@ -15,7 +15,7 @@ b_pk = binomial(p - 1/2 + k, k). The angle does not enter the moments M_pk, and 
 they are kept with their derivative by x. One table of them, from the camera down, serves all rays
 of an exposure, however many layers they cross.
 
-In arrays by order the index q = p - 1 stands for the order p.
+In arrays by order the index q = p - 1 is that of the order p.
 """
 
 import math

@@ -52,8 +52,8 @@ _BENT_GUARD = 0.5
 _SHORTEST_STEP_M = 1e-10
 
 # Nodes and weights of Gauss and Legendre between 0 and 1. Four serve the part of a steep ray in one
-# piece of the table, to 1e-13 of the whole, where that part is no higher than `_WIDEST_M`. Steep is
-# a ray whose (r cos zeta)^2 is at one end more than this share of that at the other.
+# piece of the table, to 1e-13 of the whole, where that part is no higher than `_WIDEST_M`. A
+# ray is steep if its (r cos zeta)^2 is at one end more than `_STEEP_SHARE` of that at the other.
 _X4, _W4 = gauss_legendre(4)
 _X8, _W8 = gauss_legendre(8)
 _WIDEST_M = 260.0
@@ -63,8 +63,8 @@ _SLACK_M = 1e-6  # heights so far outside the profile are rounding
 _SMALL_ANGLE = 0.01  # up to which the series of `small_arctangent` is good
 _MOST_STEPS = 100  # of the search for a height, Newton's and bisections together
 
-# A ray whose chord at the end of the profile is half of this [m] too short still reaches its
-# distance: chord^2 - distance^2 is 2 distance times what the chord lacks.
+# A ray still reaches its distance if the chord at the end of the profile is too short by half of
+# this [m]: distance^2 - chord^2 is 2 distance times what the chord lacks.
 _TWICE_SHORT_M = 2e-6
 
 
@@ -103,7 +103,7 @@ def tangent_fraction(half_delta, line):  # type: ignore[no-untyped-def]
     """
     q = math.sqrt(line.along2_g)
     sum_of_sides = line.along_c + q
-    # Sine and cosine by their series, whose next terms are 1e-14 of the whole.
+    # Sine and cosine by their series; the next terms are 1e-14 of the whole.
     square = half_delta * half_delta
     sin_half = half_delta - half_delta * square * (1.0 / 6.0 - square / 120.0)
     cos_half = 1.0 - square * (0.5 - square / 24.0)

@@ -41,7 +41,7 @@ _BEYOND_NODE_M = 1e-6  # steps to the height of a node end this far beyond it
 _SHORTEST_STEP_M = 1e-3  # from above all land
 
 _FLAT_M = 1e-7  # the search for a crossing ends at a height above the terrain that is less,
-_NARROW_M = 1e-6  # or where the crossing is known to lie within this distance
+_NARROW_M = 1e-6  # or where the crossing is known within this distance
 _CLEAR_M = 1e-6  # a ray under the terrain is out of it when this high above: less is rounding
 
 # A ray that goes down crosses the grid faster and faster. Over a step of t [m] its mean speed is

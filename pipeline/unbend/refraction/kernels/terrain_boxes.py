@@ -20,7 +20,7 @@ TO_BE_READ = -2
 
 
 class Edges(NamedTuple):
-    """Rows and columns of the grid between which a box or a cell lies."""
+    """Rows and columns of the grid that bound a box or a cell."""
 
     top: float
     bottom: float

@@ -75,7 +75,7 @@ def place_at(path, t):  # type: ignore[no-untyped-def]
     down = path.r_c - t * cosine
     r = math.sqrt(across * across + down * down)
     height = path.h_c - t * cosine + across * across / (r + down)
-    tangent = across / down  # of the angle at the earth's centre, whose arctangent is a series
+    tangent = across / down  # of the angle at the earth's centre, which follows by a series
     square = tangent * tangent
     arc = path.r_e * tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
     row = path.row[-1]

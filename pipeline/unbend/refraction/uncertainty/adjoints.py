@@ -2,7 +2,8 @@
 
 A small change of the air changes R_c by the sum of w_j dN_j; the adjoint gives the weights w.
 
-With s = r_c sin zeta_c and nu = n / n_c the ray subtends, at the earth's centre (Gyer 1996, Eq. 1 and 12),
+With s = r_c sin zeta_c and nu = n / n_c the ray subtends at the earth's centre the angle (Gyer
+1996, Eq. 1 and 12)
 
     theta = integral over h of s / (r sqrt(nu^2 r^2 - s^2)),   R_c = zeta_c - psi(theta, r_c, r_g),
 
@@ -39,14 +40,14 @@ _NODES = 6
 # The excess (n r - k) / n_c = nu r - s [m] is zero where a ray is level. m has a pole where it is
 # zero; down to this excess the derivatives are good to 1e-9.
 LEVEL_GUARD_M = 1e-3
-MOST_STEPS_OF_PIECE = 20
+MOST_NODES_OF_PIECE = 20
 _COARSE = np.polynomial.legendre.leggauss(4)
-_FINE = np.polynomial.legendre.leggauss(MOST_STEPS_OF_PIECE)
+_FINE = np.polynomial.legendre.leggauss(MOST_NODES_OF_PIECE)
 _COARSE_GRADING = 0.4  # up to this ln of the ratio of the excess at a piece's ends 4 nodes suffice
 _LEAST_GRADING = 1e-9  # in the place of zero, by which nothing can be divided
 
-# Rays over less height than this have the closed limit: at 1e-4 m that and the traced derivative
-# err by 6e-8 in dR/dh alike.
+# Rays over less height than this get a closed limit: here it and the traced dR/dh err by the same
+# 6e-8.
 _SHORT_M = 1e-4
 _SHORT_GUARD_M = 1.0  # of the excess of short rays
 
@@ -286,18 +287,19 @@ def _air_at(pieces: Pieces, rays: Rays, big_n_c: Array, h: Array) -> _Air:
     refractivity = np.einsum("pa,abpj->bpj", pieces.coefficient, basis)
     h_c = rays.h_c[:, None, None]
     radius = rays.radius[:, None, None]
-    n_c = big_n_c[:, None, None]
+    big_n_c = big_n_c[:, None, None]
     lift = _lift(rays)[:, None, None]
-    by_air = (radius + h) * (refractivity - n_c) / (1.0 + n_c)
+    by_air = (radius + h) * (refractivity - big_n_c) / (1.0 + big_n_c)
     excess = by_air + (h - h_c) + lift
     return _Air(excess, refractivity, basis)
 
 
 def _graded_nodes(pieces: Pieces, rays: Rays, big_n_c: Array) -> _Nodes:
-    """Nodes of Gauss-Legendre in each piece, in a variable x in which the excess grows evenly in ln.
+    """Nodes of Gauss-Legendre in x at which the excess grows by equal ratios in each piece.
 
-    ``big_n_c`` (n,) is N at the camera. That undoes the pole of m where the excess is zero: h = h_0 + scale (exp(grading x) - 1), x from
-    0 to 1 in each piece, grading the logarithm of the ratio of the excess at its ends.
+    That undoes the pole of m where the excess is zero: h = h_0 + scale (exp(grading x) - 1), x from
+    0 to 1 in each piece, grading the logarithm of the ratio of the excess at its ends. ``big_n_c``
+    (n,) is N at the camera.
     """
     ends = _ends_in_pieces(pieces, rays)
     width = np.diff(ends)
@@ -332,8 +334,8 @@ def _integrals(pieces: Pieces, rays: Rays, big_n_c: Array) -> _Integrals:
     excess = np.where(nodes.is_inside & does_not_turn, air.excess, 1.0)
     r_c = rays.radius + rays.h_c
     s = (r_c * np.sin(rays.zeta_c))[:, None, None]
-    n_c = big_n_c[:, None, None]
-    nu = 1.0 + (air.refractivity - n_c) / (1.0 + n_c)
+    big_n_c = big_n_c[:, None, None]
+    nu = 1.0 + (air.refractivity - big_n_c) / (1.0 + big_n_c)
     root = np.sqrt(excess * (excess + 2.0 * s))  # sqrt(nu^2 r^2 - s^2)
     r = (excess + s) / nu
     theta_step = nodes.step_m * s / (r * root)
@@ -348,7 +350,7 @@ def _integrals(pieces: Pieces, rays: Rays, big_n_c: Array) -> _Integrals:
 
 
 def _ends_in_pieces(pieces: Pieces, rays: Rays) -> Array:
-    """(n, p, 2) lowest and highest height [m] of each ray in each piece; equal if it is not there."""
+    """(n, p, 2) lowest and highest height [m] of a ray in each piece; equal if it is not there."""
     low = np.minimum(rays.h_c, rays.h_g)[:, None]
     high = np.maximum(rays.h_c, rays.h_g)[:, None]
     lower_end = np.clip(pieces.edge_m[:-1], low, high)
