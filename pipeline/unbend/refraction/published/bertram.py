@@ -1,10 +1,10 @@
 """Bertram 1966: a trapezoid sum over tabulated densities; and the Manual's fit to his table.
 
-Two things in the paper are wrong, with any number of digits: Eq. 9 is not the refraction of a raised
-ground point, because every height is counted from sea level, the lever arms too (`bertram1966`
-follows the paper, `bertram1966_from_ground` starts at the point); and the curved-earth term has the
-wrong sign and is a small part of what the curvature does (`bertram1966_curved`). "2.340 / Z" above
-80.5 km is 2,340 / Z urad with Z in km.
+Two things in the paper are wrong, with any number of digits. Eq. 9 is not the refraction of a
+raised ground point, because every height is counted from sea level, the lever arms too
+(`bertram1966` follows the paper, `bertram1966_from_ground` starts at the point). The curved-earth
+term has the wrong sign and is a small part of what the curvature does (`bertram1966_curved`).
+"2.340 / Z" above 80.5 km is 2,340 / Z urad with Z in km.
 """
 
 import numpy as np

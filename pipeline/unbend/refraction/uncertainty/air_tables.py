@@ -341,8 +341,7 @@ def _sphere_factors(
     by_air = (traced.gradient @ root.matrix) / tangent
     sigma = np.linalg.norm(by_air[..., 1:], axis=-1)
     mode = by_air[..., 0] / (h_c - h_g)
-    sigma_factor = sigma / sigma[..., :1]
-    return np.stack([sigma_factor, angle_factor, mode - mode[..., :1]], axis=-1)
+    return np.stack([sigma / sigma[..., :1], angle_factor, mode - mode[..., :1]], axis=-1)
 
 
 def _rays_for_factors(
