@@ -117,7 +117,7 @@ def apply_refraction(
     observations = observation_columns(
         displaced.x_corrected_px, displaced.y_corrected_px, h_g, sigma_h_g, exposure
     )
-    sigmas = Sigmas.room(x_px.size)
+    sigmas = Sigmas.allocate(x_px.size)
     constants = camera.constants
     exposure_columns = exposures.columns
 

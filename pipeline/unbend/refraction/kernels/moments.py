@@ -116,7 +116,7 @@ class _Group(NamedTuple):
     status: NDArray[np.uint8]
 
 
-class _Room(NamedTuple):
+class _WorkArrays(NamedTuple):
     """Work arrays, used for one group of rays after the other."""
 
     moments: Array  # (k + 1, _COLUMNS)
@@ -416,27 +416,27 @@ def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
 
 
 @within
-def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
-    """Fill R_c and status of a `_Group` of rays from one height; ``room`` is a `_Room`.
+def _bend_group(air, group, work):  # type: ignore[no-untyped-def]
+    """Fill R_c and status of a `_Group` of rays from one height; ``work`` is a `_WorkArrays`.
 
     Rays to the same interval are taken together, in passes over all of them: short loops keep the
     processor busy, and without a branch run four rays at a time.
     """
     edge = air.edge
     h_c = group.h_c
-    order = room.order
-    rays = room.rays
+    order = work.order
+    rays = work.rays
     # The rays that the series serves, in the order of the intervals of their targets.
     top = _interval(edge, air.hint, h_c)
-    most_steps = _mark_served(air, group, top, room.steps_down)
-    start = _fill_order(group.status, room.steps_down, most_steps, order)
+    most_steps = _mark_served(air, group, top, work.steps_down)
+    start = _fill_order(group.status, work.steps_down, most_steps, order)
 
     # The moments from the camera down to the lowest of these intervals.
     share = (h_c - edge[top]) / (edge[top + 1] - edge[top])
     big_n_c = _refractivity_in(air.coefficient, top, share)
-    camera = _Camera(h_c, big_n_c, 1.0 / (group.r_e[0] + h_c), room.moments)
+    camera = _Camera(h_c, big_n_c, 1.0 / (group.r_e[0] + h_c), work.moments)
     for column in range(_COLUMNS):
-        room.moments[top + 1, column] = 0.0
+        work.moments[top + 1, column] = 0.0
     _fill_moments(air, camera, top, top - most_steps)
 
     # The rays to one interval after the other: copied together, bent, and copied back.
@@ -451,7 +451,7 @@ def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
             rays[_COS_C, j] = group.cos_c[i]
             rays[_R_E, j] = group.r_e[i]
         is_served = _bend_to_interval(n, air, top - steps, camera, rays)
-        largest_m = room.moments[top - steps, _COLUMN_OF_LARGEST_M]
+        largest_m = work.moments[top - steps, _COLUMN_OF_LARGEST_M]
         for j in range(n):
             i = order[start[steps] + j]
             if is_served and largest_m * rays[_W, j] <= _LARGEST_W_M:
@@ -471,7 +471,7 @@ def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
     edge = air.edge
     h_c = rays.h_c
     most_rays = h_c.size if h_c.size < _MOST_TOGETHER else _MOST_TOGETHER
-    room = _Room(
+    work = _WorkArrays(
         moments=np.empty((edge.size, _COLUMNS)),
         steps_down=np.empty(most_rays, np.int64),
         order=np.empty(most_rays, np.int64),
@@ -493,7 +493,7 @@ def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
                 angle=angle[rows],
                 status=status[rows],
             )
-            _bend_group(air, group, room)
+            _bend_group(air, group, work)
         else:
             for i in range(first, end):
                 status[i] = FOR_NEXT_KERNEL

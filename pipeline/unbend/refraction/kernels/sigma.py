@@ -82,7 +82,7 @@ _COPIED_ROWS = (
     SPHERE_RADIUS,
     CAMERA_HEIGHT,
 )
-"""Rows of a matrix of rays that are copied to the room."""
+"""Rows of a matrix of rays that are copied to the work matrix."""
 
 # Up to this sine of its nadir angle a ray has no azimuth, and R / sin(zeta) is dR/dzeta.
 _LARGEST_SINE_AT_NADIR = 1e-9
@@ -342,71 +342,71 @@ def _sigma_n_cabin(station):  # type: ignore[no-untyped-def]
 
 
 @within
-def _fill_sigmas(room, count, camera, station):  # type: ignore[no-untyped-def]
-    """Fill the rows `SIGMA_R_C` to `DY_DNCC` of ``room`` for ``count`` observations of a `Station`.
+def _fill_sigmas(work, count, camera, station):  # type: ignore[no-untyped-def]
+    """Fill the rows `SIGMA_R_C` to `DY_DNCC` of ``work`` for ``count`` observations of a `Station`.
 
-    A loop without a branch over the rows of ``room`` runs four observations at a time. Without a
+    A loop without a branch over the rows of ``work`` runs four observations at a time. Without a
     plane window sigma of R_cc is 0, and the derivatives by N_cc are NaN.
     """
     one_if_window = 1.0 if station.window_kind >= 0 else math.nan
     sigma_n_cabin = _sigma_n_cabin(station)
     for i in range(count):
         # The ray, and what the errors do to it.
-        secant = 1.0 / room[NADIR_COSINE, i]
+        secant = 1.0 / work[NADIR_COSINE, i]
         ray = BentRay(
-            sin_z=room[NADIR_SINE, i],
-            cos_z=room[NADIR_COSINE, i],
-            radius=room[SPHERE_RADIUS, i],
-            h_c=room[CAMERA_HEIGHT, i],
-            drop=room[DROP, i],
-            angle=room[R_C, i],
-            dr_dzeta=room[SLOPE_BY_SECANT2, i] * secant * secant,
+            sin_z=work[NADIR_SINE, i],
+            cos_z=work[NADIR_COSINE, i],
+            radius=work[SPHERE_RADIUS, i],
+            h_c=work[CAMERA_HEIGHT, i],
+            drop=work[DROP, i],
+            angle=work[R_C, i],
+            dr_dzeta=work[SLOPE_BY_SECANT2, i] * secant * secant,
         )
-        azimuth = _azimuth(room[DIRECTION, i], room[DIRECTION + 1, i], ray.sin_z)
-        camera_ray = _camera_ray(room[IDEAL_U, i], room[IDEAL_V, i], azimuth, ray, station.rotation)
+        azimuth = _azimuth(work[DIRECTION, i], work[DIRECTION + 1, i], ray.sin_z)
+        camera_ray = _camera_ray(work[IDEAL_U, i], work[IDEAL_V, i], azimuth, ray, station.rotation)
         window = _window_turns(camera_ray, ray.dr_dzeta, station)
-        motion = _motion(ray, azimuth, window, room[N_GROUND, i], station)
+        motion = _motion(ray, azimuth, window, work[N_GROUND, i], station)
         air = _AirOfRay(
-            sigma_r=room[SIGMA_BY_TANGENT, i] * ray.sin_z * secant,
-            sigma_air_x=room[SIGMA_AIR_X, i],
-            shared_air_xy=room[SHARED_AIR_XY, i],
+            sigma_r=work[SIGMA_BY_TANGENT, i] * ray.sin_z * secant,
+            sigma_air_x=work[SIGMA_AIR_X, i],
+            shared_air_xy=work[SHARED_AIR_XY, i],
             sigma_air_y=station.sigma_air_y,
         )
 
         # What the errors do to its pixel.
-        d_image = (room[SLOPE_UU, i], room[SLOPE_UV, i], room[SLOPE_VV, i])
+        d_image = (work[SLOPE_UU, i], work[SLOPE_UV, i], work[SLOPE_VV, i])
         turn_x, turn_y = _pixel_turns(camera_ray, camera, d_image)
         in_x = _pixel_sigmas(turn_x, motion, air, station)
         in_y = _pixel_sigmas(turn_y, motion, air, station)
-        x_lever = (room[X_PX, i] - camera.cx) / camera.fx
-        y_lever = (room[Y_PX, i] - camera.cy) / camera.fy
+        x_lever = (work[X_PX, i] - camera.cx) / camera.fx
+        y_lever = (work[Y_PX, i] - camera.cy) / camera.fy
         # s, the parameter of the leading mode of the air's errors, changes R and, at the window,
         # N_c - N_cc by mode_air_y.
-        r_by_mode = room[MODE_BY_TANGENT, i] * motion.tan_z
+        r_by_mode = work[MODE_BY_TANGENT, i] * motion.tan_z
 
         # All results are unknown where the ray is not known, or beyond the tables.
-        one_if_known = math.nan if math.isnan(ray.dr_dzeta) else room[ONE_IF_KNOWN, i]
-        room[SIGMA_R_C, i] = air.sigma_r * one_if_known
-        room[AIR_DX, i] = in_x.air * one_if_known
-        room[AIR_DY, i] = in_y.air * one_if_known
-        room[STATION_DX, i] = in_x.station * one_if_known
-        room[STATION_DY, i] = in_y.station * one_if_known
-        room[GROUND_DX, i] = abs(in_x.by_ground) * room[SIGMA_H_G, i] * one_if_known
-        room[GROUND_DY, i] = abs(in_y.by_ground) * room[SIGMA_H_G, i] * one_if_known
-        room[SIGMA_R_CC, i] = window.tangent * sigma_n_cabin * one_if_known
-        room[CABIN_DX, i] = _cabin_sigma(in_x.by_window, x_lever, station) * one_if_known
-        room[CABIN_DY, i] = _cabin_sigma(in_y.by_window, y_lever, station) * one_if_known
+        one_if_known = math.nan if math.isnan(ray.dr_dzeta) else work[ONE_IF_KNOWN, i]
+        work[SIGMA_R_C, i] = air.sigma_r * one_if_known
+        work[AIR_DX, i] = in_x.air * one_if_known
+        work[AIR_DY, i] = in_y.air * one_if_known
+        work[STATION_DX, i] = in_x.station * one_if_known
+        work[STATION_DY, i] = in_y.station * one_if_known
+        work[GROUND_DX, i] = abs(in_x.by_ground) * work[SIGMA_H_G, i] * one_if_known
+        work[GROUND_DY, i] = abs(in_y.by_ground) * work[SIGMA_H_G, i] * one_if_known
+        work[SIGMA_R_CC, i] = window.tangent * sigma_n_cabin * one_if_known
+        work[CABIN_DX, i] = _cabin_sigma(in_x.by_window, x_lever, station) * one_if_known
+        work[CABIN_DY, i] = _cabin_sigma(in_y.by_window, y_lever, station) * one_if_known
         dx_ds = turn_x.along * r_by_mode + in_x.by_window * station.mode_air_y
         dy_ds = turn_y.along * r_by_mode + in_y.by_window * station.mode_air_y
-        room[DX_DS, i] = dx_ds * one_if_known
-        room[DY_DS, i] = dy_ds * one_if_known
-        room[DX_DNCC, i] = -in_x.by_window * one_if_window * one_if_known
-        room[DY_DNCC, i] = -in_y.by_window * one_if_window * one_if_known
+        work[DX_DS, i] = dx_ds * one_if_known
+        work[DY_DS, i] = dy_ds * one_if_known
+        work[DX_DNCC, i] = -in_x.by_window * one_if_window * one_if_known
+        work[DY_DNCC, i] = -in_y.by_window * one_if_window * one_if_known
 
 
 @within
-def _copy_to_room(room, first, count, observed, camera, traced):  # type: ignore[no-untyped-def]
-    """Fill ``room`` with the rays and observations ``first`` to ``first`` + ``count`` - 1.
+def _copy_to_work(work, first, count, observed, camera, traced):  # type: ignore[no-untyped-def]
+    """Fill ``work`` with the rays and observations ``first`` to ``first`` + ``count`` - 1.
 
     Also with the derivatives of the distortion, and with `ONE_IF_KNOWN`: NaN for a ray without an
     angle, and for a ray to the far crossing of its target's height, which has no known sigmas.
@@ -415,20 +415,20 @@ def _copy_to_room(room, first, count, observed, camera, traced):  # type: ignore
     angle = traced.angle
     for k in _COPIED_ROWS:
         for i in range(count):
-            room[k, i] = rays[k, first + i]
+            work[k, i] = rays[k, first + i]
     for i in range(count):
         j = first + i
-        room[X_PX, i] = observed.x[j]
-        room[Y_PX, i] = observed.y[j]
-        room[R_C, i] = angle[j]
-        room[H_G, i] = observed.h_g[j]
-        room[SIGMA_H_G, i] = observed.sigma_h_g[j]
+        work[X_PX, i] = observed.x[j]
+        work[Y_PX, i] = observed.y[j]
+        work[R_C, i] = angle[j]
+        work[H_G, i] = observed.h_g[j]
+        work[SIGMA_H_G, i] = observed.sigma_h_g[j]
         is_far = traced.status[j] == FAR_BRANCH
-        room[ONE_IF_KNOWN, i] = math.nan if math.isnan(angle[j]) or is_far else 1.0
+        work[ONE_IF_KNOWN, i] = math.nan if math.isnan(angle[j]) or is_far else 1.0
         uu, uv, vv = slopes(rays[IDEAL_U, j], rays[IDEAL_V, j], camera.distortion)
-        room[SLOPE_UU, i] = uu
-        room[SLOPE_UV, i] = uv
-        room[SLOPE_VV, i] = vv
+        work[SLOPE_UU, i] = uu
+        work[SLOPE_UV, i] = uv
+        work[SLOPE_VV, i] = vv
 
 
 @entry
@@ -439,15 +439,15 @@ def fill_sigma_columns(observed, pose, traced, air, sigmas):  # type: ignore[no-
     values, the `CameraConstants` and the rotations (s, 3, 3) of exposures; ``air`` are two values,
     the matrix of stations (s, `STATION_COLUMNS`) and the `AirTables`.
 
-    Consecutive rows of one exposure, up to `COLUMNS_TOGETHER`, are copied into a small matrix,
-    ``room``, worked on there, and copied back.
+    Consecutive rows of one exposure, up to `COLUMNS_TOGETHER`, are copied into ``work``, a small
+    matrix, computed there, and copied back.
     """
     exposure = observed.exposure
     camera, rotation = pose
     stations, tables = air
     sigma_r_c = sigmas[0]  # in double precision, the others in single
     single_columns = sigmas[1:]
-    room = np.empty((ALL_ROWS, COLUMNS_TOGETHER))
+    work = np.empty((ALL_ROWS, COLUMNS_TOGETHER))
     end = 0
     while end < exposure.size:
         first = end
@@ -458,16 +458,16 @@ def fill_sigma_columns(observed, pose, traced, air, sigmas):  # type: ignore[no-
         if not 0 <= e < stations.shape[0]:
             for k in range(RESULTS):
                 for i in range(count):
-                    room[FIRST_RESULT + k, i] = math.nan
+                    work[FIRST_RESULT + k, i] = math.nan
         else:
-            _copy_to_room(room, first, count, observed=observed, camera=camera, traced=traced)
+            _copy_to_work(work, first, count, observed=observed, camera=camera, traced=traced)
             station = station_at(stations[e], rotation[e], tables)
-            fill_positions(room, count, tables)
-            interpolate_air(room, count, tables, station)
-            _fill_sigmas(room, count, camera, station)
+            fill_positions(work, count, tables)
+            interpolate_air(work, count, tables, station)
+            _fill_sigmas(work, count, camera, station)
         for i in range(count):
-            sigma_r_c[first + i] = room[FIRST_RESULT, i]
+            sigma_r_c[first + i] = work[FIRST_RESULT, i]
         for k in range(RESULTS - 1):
             column = single_columns[k]
             for i in range(count):
-                column[first + i] = room[FIRST_RESULT + 1 + k, i]
+                column[first + i] = work[FIRST_RESULT + 1 + k, i]

@@ -103,10 +103,10 @@ def _on_sphere(factors, height, way, incidence, mode_in_plane):  # type: ignore[
 
 
 @within
-def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
-    """Fill the positions of ``count`` rays on the axes of ``air``, the `AirTables`.
+def fill_positions(work, count, air):  # type: ignore[no-untyped-def]
+    """Fill the positions of ``count`` rays on the axes of ``air``, the `AirTables`, into ``work``.
 
-    Also filled are `DROP` and `ONE_IF_KNOWN`. The tables do not serve a ray to a target at or above
+    That is the matrix of `sigma_rows`. Also filled are `DROP` and `ONE_IF_KNOWN`. The tables do not serve a ray to a target at or above
     the camera, nor a ray that is nearly level at the target: its `ONE_IF_KNOWN` becomes NaN, and
     its positions are 0, which any table has.
 
@@ -120,32 +120,32 @@ def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
     ground_m = air.ground_m
     spacing_m = air.spacing_m
     for i in range(count):
-        h_c = room[CAMERA_HEIGHT, i]
-        cos_z = room[NADIR_COSINE, i]
-        r_c = room[SPHERE_RADIUS, i] + h_c
-        drop = h_c - room[H_G, i]
-        r_g = room[SPHERE_RADIUS, i] + h_c - drop
+        h_c = work[CAMERA_HEIGHT, i]
+        cos_z = work[NADIR_COSINE, i]
+        r_c = work[SPHERE_RADIUS, i] + h_c
+        drop = h_c - work[H_G, i]
+        r_g = work[SPHERE_RADIUS, i] + h_c - drop
         # cos^2 of the straight ray's nadir angle at the target.
         cos2_g = (r_c * r_c * cos_z * cos_z - drop * (r_c + r_g)) / (r_g * r_g)
         beyond_first_way = math.sqrt(drop) - way_first
         # In nodes of the axis of 1 / sqrt(cos z_g), which begins at 1.
         incidence = (1.0 / math.sqrt(math.sqrt(cos2_g)) - 1.0) / incidence_step
-        is_served = (room[ONE_IF_KNOWN, i] == 1.0) & (drop > 0.0) & (cos_z > 0.0) & (cos2_g > 0.0)
+        is_served = (work[ONE_IF_KNOWN, i] == 1.0) & (drop > 0.0) & (cos_z > 0.0) & (cos2_g > 0.0)
         is_served &= incidence <= last_incidence
-        room[DROP, i] = drop
-        room[ONE_IF_KNOWN, i] = 1.0 if is_served else math.nan
-        room[WAY_POSITION, i] = beyond_first_way / way_step if is_served else 0.0
-        room[COARSE_POSITION, i] = beyond_first_way / coarse_step if is_served else 0.0
-        room[INCIDENCE_POSITION, i] = incidence if is_served else 0.0
-        room[GROUND_POSITION, i] = (room[H_G, i] - ground_m) / spacing_m if is_served else 0.0
+        work[DROP, i] = drop
+        work[ONE_IF_KNOWN, i] = 1.0 if is_served else math.nan
+        work[WAY_POSITION, i] = beyond_first_way / way_step if is_served else 0.0
+        work[COARSE_POSITION, i] = beyond_first_way / coarse_step if is_served else 0.0
+        work[INCIDENCE_POSITION, i] = incidence if is_served else 0.0
+        work[GROUND_POSITION, i] = (work[H_G, i] - ground_m) / spacing_m if is_served else 0.0
 
 
 @jit
-def interpolate_air(room, count, air, station):  # type: ignore[no-untyped-def]
+def interpolate_air(work, count, air, station):  # type: ignore[no-untyped-def]
     """Fill `SIGMA_BY_TANGENT` to `N_GROUND` of ``count`` rays from their positions in the tables.
 
-    ``air`` are the `AirTables`, ``station`` is the `Station` of the rays' exposure. NaN in, NaN
-    out. `SIGMA_AIR_X` and `SHARED_AIR_XY` are zero without a plane window.
+    ``work`` is the matrix of `sigma_rows`, ``air`` are the `AirTables`, ``station`` is the `Station`
+    of the rays' exposure. A ray with a NaN gets NaN. `SIGMA_AIR_X` and `SHARED_AIR_XY` are zero without a plane window.
     """
     sigma = air.sigma
     factors = air.factors
@@ -155,23 +155,23 @@ def interpolate_air(room, count, air, station):  # type: ignore[no-untyped-def]
     height_nodes = factors.shape[0]
     height = _place_at(station.height_share * (height_nodes - 1), height_nodes)
     for i in range(count):
-        drop = room[DROP, i]
+        drop = work[DROP, i]
         # In the plane: by the heights of the camera and the ways to the target.
-        way = _place_at(room[WAY_POSITION, i], sigma.shape[1])
+        way = _place_at(work[WAY_POSITION, i], sigma.shape[1])
         sigma_in_plane = _bilinear(sigma, camera, way)
         angle_in_plane = _bilinear(air.angle, camera, way)
         mode_in_plane = _bilinear(air.mode, camera, way)
-        room[SIGMA_AIR_X, i] = 0.0
-        room[SHARED_AIR_XY, i] = 0.0
+        work[SIGMA_AIR_X, i] = 0.0
+        work[SHARED_AIR_XY, i] = 0.0
         if window_kind >= 0:
-            room[SIGMA_AIR_X, i] = _bilinear(air.behind[window_kind, 0], camera, way)
-            room[SHARED_AIR_XY, i] = _bilinear(air.behind[window_kind, 1], camera, way)
+            work[SIGMA_AIR_X, i] = _bilinear(air.behind[window_kind, 0], camera, way)
+            work[SHARED_AIR_XY, i] = _bilinear(air.behind[window_kind, 1], camera, way)
         # On the sphere. The tables contain values divided by the way, which is `DROP`.
-        coarse_way = _place_at(room[COARSE_POSITION, i], factors.shape[1])
-        incidence = _place_at(room[INCIDENCE_POSITION, i], factors.shape[2])
+        coarse_way = _place_at(work[COARSE_POSITION, i], factors.shape[1])
+        incidence = _place_at(work[INCIDENCE_POSITION, i], factors.shape[2])
         sphere = _on_sphere(factors, height, coarse_way, incidence, mode_in_plane)
-        room[SIGMA_BY_TANGENT, i] = sigma_in_plane * sphere.sigma_factor * drop
-        room[SLOPE_BY_SECANT2, i] = angle_in_plane * sphere.angle_factor * drop
-        room[MODE_BY_TANGENT, i] = sphere.mode * drop / air.mode_sigma
-        ground = _place_at(room[GROUND_POSITION, i], refractivity.size)
-        room[N_GROUND, i] = linear(refractivity, ground)
+        work[SIGMA_BY_TANGENT, i] = sigma_in_plane * sphere.sigma_factor * drop
+        work[SLOPE_BY_SECANT2, i] = angle_in_plane * sphere.angle_factor * drop
+        work[MODE_BY_TANGENT, i] = sphere.mode * drop / air.mode_sigma
+        ground = _place_at(work[GROUND_POSITION, i], refractivity.size)
+        work[N_GROUND, i] = linear(refractivity, ground)

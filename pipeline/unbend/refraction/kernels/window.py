@@ -1,7 +1,7 @@
 """Snell's law at the plane of a window (Gyer 1996, Eq. 36), in vectors, compiled.
 
 A ray with the unit vector d meets the plane at the angle of incidence a. The unit normal m of the
-plane points to the side to which the ray goes. With excess = n_in / n_out - 1 the unit vector behind
+plane points to where the ray goes. With excess = n_in / n_out - 1 the unit vector behind
 the plane is
 
     d' = (1 + excess) t + m cos(a'),   t = d - m cos(a),   sin(a') = (1 + excess) sin(a),

@@ -208,7 +208,7 @@ class Sigmas(NamedTuple):
     dy_dncc_px: Single
 
     @classmethod
-    def room(cls, n: int) -> Sigmas:
+    def allocate(cls, n: int) -> Sigmas:
         """Arrays for n observations, not initialized."""
         singles = np.empty((len(cls._fields) - 1, n), np.float32)
         return cls(np.empty(n), *singles)
@@ -216,7 +216,7 @@ class Sigmas(NamedTuple):
     @classmethod
     def unknown(cls, n: int) -> Sigmas:
         """Arrays of NaN for n observations."""
-        sigmas = cls.room(n)
+        sigmas = cls.allocate(n)
         for values in sigmas:
             values.fill(np.nan)
         return sigmas
