@@ -138,7 +138,7 @@ def _sigmas_of_displacements(
 ) -> Sigmas:
     """Standard deviations of displacements; ``observations`` are the displaced points."""
     count = observations.x.size
-    sigmas = Sigmas.room(count)
+    sigmas = Sigmas.allocate(count)
 
     def fill_block(rows: slice) -> None:
         observed = observations.part(rows)

@@ -195,7 +195,7 @@ def correct_observations(
     columns = dict(zip(COLUMNS, np.empty((len(COLUMNS), n)), strict=True))
     corrections = Corrections(
         status=np.empty(n, np.uint8),
-        sigmas=None if uncertainty is None else Sigmas.room(n),
+        sigmas=None if uncertainty is None else Sigmas.allocate(n),
         **columns,
     )
     observations = observation_columns(x_px, y_px, h_g, sigma_h_g, exposure)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from unbend.atmosphere import standard_atmosphere
 from unbend.atmosphere.profile import Profile
 from unbend.refraction import messages
-from unbend.refraction.kernels.columns import LEFT, WORTH_A_TABLE, RayColumns
+from unbend.refraction.kernels.columns import FOR_NEXT_KERNEL, WORTH_A_TABLE, RayColumns
 from unbend.refraction.kernels.threads import in_blocks
 from unbend.refraction.published import PUBLISHED
 from unbend.refraction.published.column import Method, finite
@@ -143,12 +143,12 @@ def _bend_rows(table: RayTable, rays: RayColumns, r_c: Array, status: NDArray[np
         from unbend.refraction.kernels.moments import bend_steep_rays
 
         bend_steep_rays(table.fine, rays, r_c, status)
-        remaining = np.flatnonzero(status == LEFT)
+        remaining = np.flatnonzero(status == FOR_NEXT_KERNEL)
     if remaining.size:
         from unbend.refraction.kernels.ray import bend_rays
 
         bend_rays(table.pieces, rays, remaining, r_c, status)
-        remaining = remaining[status[remaining] == LEFT]
+        remaining = remaining[status[remaining] == FOR_NEXT_KERNEL]
     if remaining.size:
         from unbend.refraction.kernels.grazing import bend_grazing_rays
 

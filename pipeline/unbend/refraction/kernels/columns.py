@@ -42,30 +42,34 @@ CABIN_SIGMAS = 15  # two: change of N in the cabin by one sigma of its pressure,
 LENS_SIGMAS = 17  # two: change of the principal distance [px] by the same
 STATION_COLUMNS = 19
 
-LEFT = 255
-"""Status of a ray that one kernel leaves to another."""
+FOR_NEXT_KERNEL = 255
+"""Status of a ray that this kernel does not decide: the next one has to bend it."""
 
 WORTH_A_TABLE = 24
-"""From so many rays from one height on a table of moments is made: it takes as long as to bend this
-many rays one by one."""
+"""Number of rays from one height from which on a table of moments is made: that takes as long as to
+bend this many rays one by one."""
 
 
 class IndexTable(NamedTuple):
-    """The columns of a `RayTable`: N as a polynomial of degree 7 in each of m pieces of height."""
+    """The columns of a `RayTable`: N as a polynomial of degree 7 in each of m pieces of height.
+
+    The variable of a polynomial is (h - lower edge) / (upper edge - lower edge).
+    """
 
     edge: Array  # (m + 1,) heights [m]
-    coefficient: Array  # (m, 8) by the share of the piece that lies below, lowest power first
+    coefficient: Array  # (m, 8) lowest power first
 
 
 class FineTable(NamedTuple):
     """N as a polynomial of degree 5 in each of k intervals of at most 62.5 m.
 
-    It differs by 1e-15 of N from that of `IndexTable`. `kernels.moments` keeps moments of the air
-    for these intervals.
+    The variable of a polynomial is (h - lower edge) / (upper edge - lower edge). N differs by 1e-15
+    of itself from that of `IndexTable`. `kernels.moments` keeps moments of the air for these
+    intervals.
     """
 
     edge: Array  # (k + 1,) heights [m]
-    coefficient: Array  # (k, 6) by the share of the interval that lies below, lowest power first
+    coefficient: Array  # (k, 6) lowest power first
     hint: Rows  # number of the interval at every `HINT_M` above the bottom: a search begins there
 
 
@@ -106,7 +110,7 @@ class ExposureColumns(NamedTuple):
     outside: Array  # N outside the window, NaN where the camera is outside the profile
     cabin: Array  # N behind the window
     normal: Array  # (s, 3) unit vector out of the window, in the camera frame
-    change_px: Array  # what is added to the principal distance [px]
+    change_px: Array  # what the air in the lens adds to the principal distance [px]
 
 
 class ObservationColumns(NamedTuple):
@@ -119,16 +123,16 @@ class ObservationColumns(NamedTuple):
     exposure: Integers  # row of `ExposureColumns`, -1 where the image has no exposure
 
     def part(self, rows: slice) -> ObservationColumns:
-        """Some of the rows."""
+        """The observations of some rows, as views."""
         return ObservationColumns._make(values[rows] for values in self)
 
 
 def observation_columns(
     x: Array, y: Array, h_g: Array, sigma_h_g: Array, exposure: Integers
 ) -> ObservationColumns:
-    """Observations as kernels take them; what is read-only is copied.
+    """`ObservationColumns` of contiguous, writable arrays; other arrays are copied.
 
-    Kernels are compiled for types, and a read-only array is a type of its own.
+    Kernels are compiled for types of arguments, and a read-only array has a different type.
     """
     return ObservationColumns(
         x=_writable(x),
@@ -140,7 +144,7 @@ def observation_columns(
 
 
 def _writable(values: Array) -> Array:
-    """The values in one piece that may be written to: themselves where they are that."""
+    """The values as a contiguous, writable float64 array; copied only if they are not one."""
     return np.require(values, np.float64, ["C_CONTIGUOUS", "WRITEABLE"])
 
 
@@ -171,11 +175,12 @@ class Shifts(NamedTuple):
 class AirTables(NamedTuple):
     """Tables of what the air does to rays, for c heights of cameras and w ways to the target.
 
-    A way is the height of the camera above the target. The roots of ways are evenly spaced. The
-    factors are given at f evenly spaced heights from the lowest camera to the highest, at j coarser
-    ways and at k values of the incidence 1 / sqrt(cos z_g), z_g the nadir angle of the ray at the
-    ground. There are v kinds of windows. x and y are those of `uncertainty.sigmas`, and no
-    coordinates of pixels. Without a covariance all sigmas and the mode are NaN.
+    A way is the height of the camera above the target. The square roots of ways are evenly spaced.
+    The factors are given at f evenly spaced heights from the lowest camera to the highest, at j
+    coarser ways and at k values of the incidence 1 / sqrt(cos z_g), z_g the nadir angle of the ray
+    at the ground. There are v kinds of windows. x and y are the two quantities of the air that
+    `uncertainty.sigmas` defines, not coordinates of pixels. Without a covariance all sigmas and the
+    mode are NaN.
     """
 
     way_first: float  # root of the first way [m^0.5]
@@ -248,7 +253,7 @@ class TerrainRays(NamedTuple):
 
 
 class TerrainState(NamedTuple):
-    """How far rays (n,) were followed, and what was found."""
+    """How far rays (n,) were followed over a terrain, and where they landed."""
 
     end: Array  # distance from the camera to which the ray is to be followed [m]
     t: Array  # distance to which it was followed so far [m]

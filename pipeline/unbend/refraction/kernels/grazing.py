@@ -1,13 +1,13 @@
 """Rays near grazing, compiled: the angle a ray subtends at the earth's centre, and R_c from it.
 
 Symbols are those of Gyer 1996: r = r_e + h, k = n_c r_c sin zeta_c (Eq. 1), N = n - 1. Between two
-heights a ray subtends
+heights a ray subtends at the earth's centre the angle
 
     theta = integral of k dh / (r sqrt(n^2 r^2 - k^2))   (Eq. 12)
           = integral of k dh / (r sqrt(E (E + 2 k))),   E = n r - k.
 
-E, the excess [m], is zero where the ray is level: at P_90, its lowest point, of height h_90. Where
-E would be negative the ray does not come: it turns before. Computed as
+E, the excess [m], is zero where the ray is level: at P_90, its lowest point, at the height h_90.
+The ray does not reach heights where E would be negative: it turns before. Computed as
 r (N - N_c) + n_c (h - h_c) + lift, with lift = n_c r_c (1 - sin zeta_c), E loses no digits. The
 substitution h = h_90 + s^2 takes the singularity at h_90 out of the integrand.
 
@@ -33,18 +33,18 @@ _COMMON_SLOPE = 0.2
 _HALVINGS = 44  # of the panels of such a layer: the narrowest is 6e-14 of it
 
 LOWEST_TERRAIN_M = -500.0
-"""No dry land lies lower. A ray whose lowest point is deeper meets the ground before it."""
+"""No dry land is lower. A ray with a deeper lowest point meets the ground before that."""
 
 _HALVINGS_OF_HEIGHT = 80  # at most, in the search for the height of the lowest point
 _HALVINGS_OF_LAYER = 60  # in the search for the smallest n r in a layer
 _DEPTH_STEPS = 5  # of the iteration for the depth of the level point below a layer
 _DEGREE = 7  # of the polynomials of the table
 
-# Up to this cosine of its nadir angle a ray leaves the camera level: its two crossings of the
-# camera's own height are one.
+# Up to this cosine of its nadir angle a ray leaves the camera level: it crosses the camera's height
+# once, at the camera.
 _LEVEL_COSINE = 1e-9
 
-_DEPTH_TO_SPARE_M = 100.0  # below the lowest land, in the test by the straight line's lowest point
+_SPARE_DEPTH_M = 100.0  # below the lowest land, in the test by the straight line's lowest point
 
 UPWARDS = 1.0
 DOWNWARDS = -1.0
@@ -82,7 +82,10 @@ class _Origin(NamedTuple):
 
 @jit
 def piece_at(edge, h):  # type: ignore[no-untyped-def]
-    """Number of the piece of the table that holds height h, by bisection in ``edge``."""
+    """Number of the piece of the table that contains height h, by bisection in ``edge``.
+
+    At an edge it is the piece above; outside the table the lowest or the highest piece.
+    """
     low = 0
     high = edge.size - 1
     while high - low > 1:
@@ -96,7 +99,7 @@ def piece_at(edge, h):  # type: ignore[no-untyped-def]
 
 @jit
 def refractivity(table, i, h):  # type: ignore[no-untyped-def]
-    """N at height h by the polynomial of piece i."""
+    """N at height h [m] by the polynomial of piece i of an `IndexTable`."""
     edge, coefficient = table
     u = (h - edge[i]) / (edge[i + 1] - edge[i])
     value = coefficient[i, _DEGREE]
@@ -107,9 +110,9 @@ def refractivity(table, i, h):  # type: ignore[no-untyped-def]
 
 @jit
 def ray_at(table, h_c, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
-    """The `Ray` that leaves a camera.
+    """The `Ray` that leaves a camera at the height h_c [m]; its arguments are fields of `Ray`.
 
-    Its lift is n_c r_c cos^2 zeta_c / (1 + sin zeta_c), which loses no digits for level rays.
+    The lift is n_c r_c cos^2 zeta_c / (1 + sin zeta_c), which loses no digits for level rays.
     """
     big_n_c = refractivity(table, piece_at(table.edge, h_c), h_c)
     lift = (1.0 + big_n_c) * (r_e + h_c) * cos_c * cos_c / (1.0 + sin_c)
@@ -119,13 +122,13 @@ def ray_at(table, h_c, sin_c, cos_c, r_e):  # type: ignore[no-untyped-def]
 
 @jit
 def excess(table, ray, i, h):  # type: ignore[no-untyped-def]
-    """n r - k [m] at height h in piece i, without cancellation."""
+    """The excess n r - k [m] of a `Ray` at height h [m] in piece i, without cancellation."""
     n = refractivity(table, i, h)
     return (ray.r_e + h) * (n - ray.big_n_c) + (1.0 + ray.big_n_c) * (h - ray.h_c) + ray.lift
 
 
 @jit
-def _slope(table, i, h, r_e):  # type: ignore[no-untyped-def]
+def _n_r_slope(table, i, h, r_e):  # type: ignore[no-untyped-def]
     """d(n r)/dh at height h in piece i; about 0.8 in common air, below zero in a duct."""
     edge, coefficient = table
     width = edge[i + 1] - edge[i]
@@ -138,13 +141,13 @@ def _slope(table, i, h, r_e):  # type: ignore[no-untyped-def]
 
 @jit
 def _level_between(table, ray, i, low, high):  # type: ignore[no-untyped-def]
-    """Height [m] between two heights in piece i where n r = k, by bisection.
+    """Height [m] between two heights in piece i where the ray is level, n r = k, by bisection.
 
-    The excess is above zero at ``high``, and zero or below at ``low``.
+    The excess n r - k is above zero at ``high``, and zero or below at ``low``.
     """
     for _ in range(_HALVINGS_OF_HEIGHT):
         middle = 0.5 * (low + high)
-        if middle <= low or middle >= high:  # no number lies between them
+        if middle <= low or middle >= high:  # no floating-point number is between them
             break
         if excess(table, ray, i, middle) > 0.0:
             high = middle
@@ -155,10 +158,10 @@ def _level_between(table, ray, i, low, high):  # type: ignore[no-untyped-def]
 
 @jit
 def turning_height(table, ray):  # type: ignore[no-untyped-def]
-    """h_90 [m] at or below the camera, where n r = k (Gyer 1996, Eq. 16).
+    """h_90 [m], the height up to the camera's where a ray is level, n r = k (Gyer 1996, Eq. 16).
 
-    The pieces of the table are looked at from the camera down. NaN where the ray is not level
-    before it leaves the profile.
+    The pieces of the table are searched from the camera down. NaN where the ray leaves the profile
+    before it is level.
     """
     i = piece_at(table.edge, ray.h_c)
     high = ray.h_c
@@ -180,7 +183,7 @@ def _excess_near(table, ray, origin, y):  # type: ignore[no-untyped-def]
         (1 + N_0) y + r (N - N_0),   N - N_0 = (y / width) (N - N_0) / (u - u_0),
 
     and Horner's scheme gives the quotient (N - N_0) / (u - u_0) of the polynomial without a
-    difference, beside its value N_0.
+    difference, in the same loop as N_0.
     """
     edge, coefficient = table
     i = origin.piece
@@ -199,11 +202,11 @@ def _excess_near(table, ray, origin, y):  # type: ignore[no-untyped-def]
 
 @jit
 def _subtended_in_panel(table, ray, origin, ends, depth):  # type: ignore[no-untyped-def]
-    """Angle that the ray subtends between two distances ``ends`` [m] from an `_Origin`.
+    """Angle [rad] that the ray subtends between two distances in height, ``ends`` [m].
 
-    Eight nodes of Gauss and Legendre in s, with s^2 = distance + ``depth`` [m]. ``depth`` is how
-    far behind the origin, seen from the ends, the ray is level, or zero. NaN where the ray turns
-    between the ends.
+    The distances count from an `_Origin`, in its sense. Eight nodes of Gauss and Legendre in s,
+    with s^2 = distance + ``depth``. ``depth`` [m] is the distance from the origin, against its
+    sense, at which the ray would be level, or zero. NaN where the ray turns between the ends.
     """
     s_0 = math.sqrt(ends[0] + depth)
     s_1 = math.sqrt(ends[1] + depth)
@@ -222,11 +225,11 @@ def _subtended_in_panel(table, ray, origin, ends, depth):  # type: ignore[no-unt
 
 @jit
 def _subtended_from(table, ray, origin, width):  # type: ignore[no-untyped-def]
-    """Angle that the ray subtends over ``width`` [m] from an `_Origin`, in panels.
+    """Angle [rad] that the ray subtends over ``width`` [m] of height from an `_Origin`, in panels.
 
-    Beginning at the far end, each panel takes half of what is left, and one the last rest. The
-    narrow panels at the origin take the steep integrand near a height where the ray is, or nearly
-    is, level.
+    Beginning at the far end, each of `_HALVINGS` panels takes half of the remaining width, and a
+    last one the remainder. The narrow panels at the origin serve the steep integrand near a height
+    where the ray is, or nearly is, level.
     """
     total = 0.0
     far = width
@@ -238,7 +241,7 @@ def _subtended_from(table, ray, origin, width):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _smallest_between(table, i, h_0, h_1, r_e):  # type: ignore[no-untyped-def]
+def _height_of_smallest_n_r(table, i, h_0, h_1, r_e):  # type: ignore[no-untyped-def]
     """Height [m] between two heights in piece i where n r is smallest, by bisection.
 
     n r falls with height at ``h_0`` and grows at ``h_1``.
@@ -247,7 +250,7 @@ def _smallest_between(table, i, h_0, h_1, r_e):  # type: ignore[no-untyped-def]
     growing = h_1
     for _ in range(_HALVINGS_OF_LAYER):
         middle = 0.5 * (falling + growing)
-        if _slope(table, i, middle, r_e) < 0.0:
+        if _n_r_slope(table, i, middle, r_e) < 0.0:
             falling = middle
         else:
             growing = middle
@@ -256,15 +259,16 @@ def _smallest_between(table, i, h_0, h_1, r_e):  # type: ignore[no-untyped-def]
 
 @jit
 def _subtended_in_flat_layer(table, ray, i, ends, excess_0):  # type: ignore[no-untyped-def]
-    """Angle subtended between two heights ``ends`` [m] of piece i where n r hardly grows, or falls.
+    """Angle [rad] subtended between two heights of piece i where n r hardly grows, or falls.
 
-    ``excess_0`` is n r - k [m] at the lower end. The layer is cut in two, so that the narrow panels
-    lie where the ray may be level: at the smallest n r between the ends, or else at both ends.
+    ``ends`` are the lower and the upper height [m], ``excess_0`` is n r - k [m] at the lower end.
+    The layer is cut in two, so that the narrow panels are where the ray may be level: at the
+    smallest n r between the ends, or else at both ends.
     """
     h_0, h_1 = ends
     excess_1 = ray.lift if h_1 == ray.h_c else excess(table, ray, i, h_1)
-    if _slope(table, i, h_0, ray.r_e) < 0.0 < _slope(table, i, h_1, ray.r_e):
-        h_least = _smallest_between(table, i, h_0, h_1, ray.r_e)
+    if _n_r_slope(table, i, h_0, ray.r_e) < 0.0 < _n_r_slope(table, i, h_1, ray.r_e):
+        h_least = _height_of_smallest_n_r(table, i, h_0, h_1, ray.r_e)
         least_excess = excess(table, ray, i, h_least)
         down = _Origin(i, h_least, least_excess, DOWNWARDS)
         up = _Origin(i, h_least, least_excess, UPWARDS)
@@ -283,14 +287,14 @@ def _subtended_in_flat_layer(table, ray, i, ends, excess_0):  # type: ignore[no-
 def _depth_of_level(table, ray, origin, slope):  # type: ignore[no-untyped-def]
     """How far [m] below an `_Origin` the ray would be level if its piece of the table went on.
 
-    ``slope`` is d(n r)/dh at the origin.
+    ``slope`` is d(n r)/dh at the origin. Zero if the ray is level at the origin.
     """
     if not origin.excess > 0.0:
         return 0.0
     edge = table.edge
     depth = origin.excess / slope  # if n r went on with this slope
-    # That is good enough where it is deep, because the integrand is smooth whatever is substituted,
-    # and where it is tiny, because the excess has no more digits.
+    # A large depth needs no better value, because the integrand is smooth with any substitution;
+    # nor does a tiny one, because the excess has no more digits.
     if _LEVEL_M < depth < 0.5 * (edge[origin.piece + 1] - edge[origin.piece]):
         for _ in range(_DEPTH_STEPS):
             depth += _excess_near(table, ray, origin, -depth) / slope
@@ -299,14 +303,15 @@ def _depth_of_level(table, ray, origin, slope):  # type: ignore[no-untyped-def]
 
 @jit
 def _subtended_in_layer(table, ray, i, ends, excess_0):  # type: ignore[no-untyped-def]
-    """Angle subtended between two heights ``ends`` [m] of piece i.
+    """Angle [rad] subtended between two heights of piece i.
 
-    ``excess_0`` is n r - k [m] at the lower end. With h = h_90 + s^2, where h_90 is the height at
-    which the ray would be level if the piece of the table went on.
+    ``ends`` are the lower and the upper height [m], ``excess_0`` is n r - k [m] at the lower end.
+    The integral is over s with h = h_90 + s^2, where h_90 is the height at which the ray would be
+    level if the piece of the table went on.
     """
     h_0, h_1 = ends
-    slope = _slope(table, i, h_0, ray.r_e)
-    rises_as_in_common_air = min(slope, _slope(table, i, h_1, ray.r_e)) > _COMMON_SLOPE
+    slope = _n_r_slope(table, i, h_0, ray.r_e)
+    rises_as_in_common_air = min(slope, _n_r_slope(table, i, h_1, ray.r_e)) > _COMMON_SLOPE
     if not rises_as_in_common_air:
         return _subtended_in_flat_layer(table, ray, i, ends, excess_0)
     origin = _Origin(i, h_0, excess_0, UPWARDS)
@@ -316,10 +321,10 @@ def _subtended_in_layer(table, ray, i, ends, excess_0):  # type: ignore[no-untyp
 
 @jit
 def subtended(table, ray, low, high, is_level_at_low):  # type: ignore[no-untyped-def]
-    """Angle theta [rad] that the ray subtends between two heights (Gyer 1996, Eq. 12).
+    """Angle theta [rad] that a ray subtends between the heights low and high (Gyer 1996, Eq. 12).
 
-    ``is_level_at_low`` states that the ray is level at ``low``, so that the excess there is zero:
-    computed from ``low``, whose rounding error is 1e-13 m, it would change theta by 3e-5 arcsec.
+    ``is_level_at_low`` states that the ray is level at ``low``, so that the excess there is zero;
+    an excess computed from ``low``, which is rounded to 1e-13 m, would change theta by 3e-5 arcsec.
     NaN where the ray turns in between.
     """
     edge = table.edge
@@ -332,7 +337,7 @@ def subtended(table, ray, low, high, is_level_at_low):  # type: ignore[no-untype
         if is_level_at_low and h_0 == low:
             excess_0 = 0.0
         elif h_0 == ray.h_c:
-            excess_0 = ray.lift  # the same without a rounding error
+            excess_0 = ray.lift  # the excess at the camera, without a rounding error
         else:
             excess_0 = excess(table, ray, i, h_0)
         total += _subtended_in_layer(table, ray, i, (h_0, h_1), excess_0)
@@ -349,8 +354,9 @@ def subtended_to_rise(table, ray):  # type: ignore[no-untyped-def]
     i = piece_at(table.edge, ray.h_c)
     if i > 0 and ray.h_c <= table.edge[i]:
         i -= 1
-    slope = _slope(table, i, ray.h_c, ray.r_e)
-    # lift / slope is the depth of P_90: so near to it n r grows evenly, and Eq. 12 has closed form.
+    slope = _n_r_slope(table, i, ray.h_c, ray.r_e)
+    # lift / slope is the depth of P_90 below the camera. Over less than `_LEVEL_M` n r grows
+    # evenly, and Eq. 12 has a closed form.
     if slope > 0.0 and ray.lift < _LEVEL_M * slope:
         return 2.0 * (1.0 + ray.big_n_c) * ray.sin_c * ray.cos_c / slope
     h_90 = turning_height(table, ray)
@@ -361,8 +367,9 @@ def subtended_to_rise(table, ray):  # type: ignore[no-untyped-def]
 
 @jit
 def chord2(ray, theta, h):  # type: ignore[no-untyped-def]
-    """Square of the chord [m2] to the point at height h where the ray has subtended theta.
+    """Square of the chord [m2] from the camera to the point at height h, after the angle theta.
 
+    ``theta`` [rad] is the angle that the ray has subtended there:
     (h_c - h)^2 + 4 r_c r sin^2(theta / 2), the law of cosines without cancellation.
     """
     drop = ray.h_c - h
@@ -372,7 +379,7 @@ def chord2(ray, theta, h):  # type: ignore[no-untyped-def]
 
 @jit
 def angle_to(ray, theta, h_g):  # type: ignore[no-untyped-def]
-    """R_c [rad] of the point at height h_g where the ray has subtended theta (Gyer 1996, Eq. 11).
+    """R_c [rad] of the point at height h_g after the subtended angle theta (Gyer 1996, Eq. 11).
 
     Eq. 11's r_c / r_g - cos(theta) is (h_c - h_g) / r_g + 2 sin^2(theta / 2), without cancellation.
     """
@@ -394,35 +401,36 @@ def _lowest_ground(table, h_g):  # type: ignore[no-untyped-def]
 
 @jit
 def crosses_once(table, ray, h_g):  # type: ignore[no-untyped-def]
-    """Whether it is clear that a ray meets the height h_g once only.
+    """Whether it is certain that a ray meets the height h_g once only; False where it may do twice.
 
     A ray that goes down meets a height below the camera twice, going down and rising again, if it
     turns above the lowest ground. The straight line in its direction is level
-    r_c (1 - sin zeta_c) = r_c cos^2 zeta_c / (1 + sin zeta_c) below the camera, and the ray deeper:
-    that depth over the mean of d(n r)/dh on the way, 0.8 in common air. So a line whose lowest
-    point is twice as deep as the lowest ground needs no further test: for the ray to turn above
-    it, n would have to grow with height by 157e-6 a kilometre all the way.
+    r_c (1 - sin zeta_c) = r_c cos^2 zeta_c / (1 + sin zeta_c) below the camera. The ray is level
+    deeper, at that depth over the mean of d(n r)/dh on the way, 0.8 in common air. So the ray needs
+    no further test if the line is level twice as deep as the lowest ground: to turn above that
+    ground, n would have to grow with height by 157e-6 a kilometre all the way.
     """
     h_c = ray.h_c
-    # The camera's own height is met a second time by every ray that goes down.
+    # Every ray that goes down and rises again meets the camera's height a second time.
     may_cross_twice = h_g < h_c or (h_g == h_c and ray.cos_c > _LEVEL_COSINE)
     if not may_cross_twice:
         return True
-    depth = h_c - _lowest_ground(table, h_g) + _DEPTH_TO_SPARE_M
+    depth = h_c - _lowest_ground(table, h_g) + _SPARE_DEPTH_M
     return (ray.r_e + h_c) * ray.cos_c * ray.cos_c > 2.0 * (1.0 + ray.sin_c) * depth
 
 
 @jit
-def _crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untyped-def]
-    """R_c [rad] and status of a ray to h_g; ``angle`` is R_c at the near crossing of that height.
+def _choose_crossing(table, ray, angle, h_g, distance):  # type: ignore[no-untyped-def]
+    """R_c [rad] and status of a ray at the crossing of the height h_g that the slant range fits.
 
-    A ray whose lowest point lies below h_g but above the lowest ground meets h_g twice, going down
-    and rising again. The crossing is meant whose slant range is nearer to ``distance`` [m]; where
-    that is NaN the near one, status `BEYOND_GRAZING`.
+    ``angle`` is R_c at the near crossing. A ray with its lowest point below h_g but above the
+    lowest ground meets h_g twice, going down and rising again. Chosen is the crossing with the
+    slant range nearer to ``distance`` [m]: `OK` for the near one, `FAR_BRANCH` for the far one. If
+    ``distance`` is NaN, the near one is returned with the status `BEYOND_GRAZING`.
     """
     if crosses_once(table, ray, h_g):
         return angle, OK
-    # Where the excess is negative the ray does not come: it turns before it is so low.
+    # The ray does not reach heights with a negative excess: it turns before.
     h_lowest = _lowest_ground(table, h_g)
     turns_above_ground = excess(table, ray, piece_at(table.edge, h_lowest), h_lowest) < 0.0
     if not turns_above_ground:
@@ -445,7 +453,8 @@ def _crossing_meant(table, ray, angle, h_g, distance):  # type: ignore[no-untype
 def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
     """R_c [rad] from the subtended angle (Gyer 1996, Eq. 11, 12, 15), good at and beyond grazing.
 
-    Of the near crossing where the ray crosses h_g twice. NaN where it does not reach h_g.
+    Where the ray crosses h_g twice, it is that of the near crossing. NaN where the ray does not
+    reach h_g.
     """
     h_c = ray.h_c
     if h_g > h_c and ray.cos_c > 0.0:
@@ -456,17 +465,17 @@ def bend_by_subtended(table, ray, h_g):  # type: ignore[no-untyped-def]
         low = min(h_c, h_g)
         high = max(h_c, h_g)
         if not excess(table, ray, piece_at(table.edge, low), low) >= 0.0:
-            return math.nan  # it turns before it is so low
+            return math.nan  # the ray turns above this height
         theta = subtended(table, ray, low, high, is_level_at_low=False)
     return angle_to(ray, theta, h_g)
 
 
 @entry
 def bend_grazing_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
-    """Fill ``angle`` [rad] and ``status`` for the `RayColumns` that `bend_rays` has left.
+    """Fill R_c, ``angle`` [rad], and ``status`` of the rays that `bend_rays` has not decided.
 
-    ``which`` numbers them. An ``angle`` that is not NaN is R_c of the near crossing, by the
-    difference form.
+    ``rays`` are `RayColumns`, ``which`` the row numbers of those rays. An ``angle`` that is not NaN
+    at the call is R_c of the near crossing, by the difference form.
     """
     for i in which:
         h_g = rays.h_g[i]
@@ -477,6 +486,4 @@ def bend_grazing_rays(table, rays, which, angle, status):  # type: ignore[no-unt
         angle[i] = math.nan
         status[i] = MISSES_GROUND
         if not math.isnan(near_angle):
-            meant, code = _crossing_meant(table, ray, near_angle, h_g, rays.distance[i])
-            angle[i] = meant
-            status[i] = code
+            angle[i], status[i] = _choose_crossing(table, ray, near_angle, h_g, rays.distance[i])

@@ -4,9 +4,9 @@ Compiled in double precision, without fused or reordered operations, and without
 Python. Importing a module of kernels imports numba, which takes half a second of CPU: callers
 import theirs where they call them.
 
-numba takes a kernel that it kept if the file of that kernel has not changed, though functions of
-other files are compiled into it. So what it keeps lies in a folder whose name is a hash of all
-sources that may be compiled into a kernel.
+numba loads a kernel from its cache if the file of that kernel has not changed, though functions of
+other files are compiled into it. So the cache is a folder with a name that is a hash of all sources
+that may be compiled into a kernel.
 """
 
 import os
@@ -29,33 +29,41 @@ from unbend.caches import COMPILED_FOLDER, compiled_code_folder
 PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 COMPILED_FOLDERS = ("camera", "kernels")  # of that package
 COMPILED_FILES = ("status_codes.py",)
-UNUSED_FOR_S = 7 * 86_400.0  # the folder of other sources is then removed
-COMPILED_WITHIN_S = 300.0  # the slowest takes 15 s; another process may be stopped
+UNUSED_FOR_S = 7 * 86_400.0  # a folder of other sources that was not used for so long is removed
+# Longest wait for another process that compiles: the slowest kernel takes 15 s, and the process may
+# be stopped.
+COMPILED_WITHIN_S = 300.0
 
 # Division by zero gives infinity or NaN, as in numpy.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 COMPILING: list[str] = []
-"""Names of the functions that are being compiled, for whoever shows progress."""
+"""Names of the functions that are being compiled now, innermost last; a display of progress reads
+them."""
 
 _DECORATING = threading.Lock()
 
 
-class _NoteOfCompiling(Listener):  # type: ignore[misc]
-    """Keeps `COMPILING`: numba calls it when it compiles, but not when it loads what it kept."""
+class _CompilingListener(Listener):  # type: ignore[misc]
+    """Keeps `COMPILING` up to date.
+
+    numba calls the listener when it compiles a function, not when it loads one from the cache.
+    """
 
     def on_start(self, event: Any) -> None:
+        """Add the function that numba begins to compile."""
         COMPILING.append(event.data["dispatcher"].__name__)
 
     def on_end(self, event: Any) -> None:
+        """Remove the function that numba has compiled, the last that was added."""
         COMPILING.pop()
 
 
-register("numba:compile", _NoteOfCompiling())
+register("numba:compile", _CompilingListener())
 
 
 def compiled_sources(package: str = PACKAGE) -> list[str]:
-    """Paths, within a package, of every source that may be compiled in."""
+    """Paths, relative to the folder ``package``, of all sources that may be compiled in kernels."""
     names = list(COMPILED_FILES)
     for folder in COMPILED_FOLDERS:
         for name in sorted(os.listdir(os.path.join(package, folder))):
@@ -65,7 +73,10 @@ def compiled_sources(package: str = PACKAGE) -> list[str]:
 
 
 def source_hash(package: str = PACKAGE) -> str:
-    """16 hexadecimal digits of the compiler's version and every source: 1 ms."""
+    """Hash of the compiler's versions and all `compiled_sources`, 16 hexadecimal digits.
+
+    ``package`` is the folder of the sources. It takes 1 ms.
+    """
     digest = sha256(f"{numba.__version__} {version('llvmlite')}".encode())
     for name in compiled_sources(package):
         with open(os.path.join(package, name), "rb") as source:
@@ -76,11 +87,11 @@ def source_hash(package: str = PACKAGE) -> str:
 
 @lru_cache(maxsize=1)
 def cache_folder() -> str | None:
-    """The folder for compiled code of these sources, or None where nothing can be written.
+    """Path of the cache for the compiled code of these sources; None if it cannot be written.
 
-    In ``NUMBA_CACHE_DIR`` or the user's cache; never site-packages, which may be read-only. Folders
-    of other sources that were not used for a week are removed; a process that still uses one
-    compiles again.
+    The folder is made in ``NUMBA_CACHE_DIR`` or the user's cache, not in site-packages, which may
+    be read-only. Folders of other sources that were not used for a week are removed; a process that
+    still uses one compiles again.
     """
     base = compiled_code_folder()
     folder = os.path.join(base, f"unbend-{source_hash()}")
@@ -97,7 +108,10 @@ def cache_folder() -> str | None:
 
 
 def _remove_unused(base: str, current: str) -> None:
-    """Remove our folders of other sources that were not used for a week."""
+    """Remove this package's folders in ``base`` that were not used for a week, except ``current``.
+
+    The arguments are paths. Raises `OSError` where another process removes a folder first.
+    """
     for name in os.listdir(base):
         path = os.path.join(base, name)
         if path == current or not COMPILED_FOLDER.fullmatch(name):
@@ -108,21 +122,21 @@ def _remove_unused(base: str, current: str) -> None:
 
 @contextmanager
 def _caching_in(folder: str) -> Iterator[None]:
-    """Let numba keep in a folder what is decorated inside this context.
+    """Context in which the functions that are decorated get ``folder`` as numba's cache.
 
-    Afterwards its setting is what it was: the user's own functions are kept where the user says.
+    Afterwards numba's setting is restored: the user's functions are cached where the user wants.
     """
     with _DECORATING:
-        before = numba.config.CACHE_DIR
+        previous_folder = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = folder
         try:
             yield
         finally:
-            numba.config.CACHE_DIR = before
+            numba.config.CACHE_DIR = previous_folder
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that only kernels call."""
+    """Decorator: compiles a function that only compiled functions call."""
     compiled: Callable[..., Any] = numba.njit(
         no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS
     )(function)
@@ -130,56 +144,63 @@ def jit(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def within(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that is compiled as a part of each function that calls it.
+    """Decorator: inlines a function into each compiled function that calls it.
 
-    Loops in it are then optimized with what the caller knows. Each level of such functions makes
-    compiling slower.
+    Its loops are then optimized together with the code of the caller. Each level of such functions
+    makes compiling slower.
     """
     compiled: Callable[..., Any] = numba.njit(inline="always", **OPTIONS)(function)
     return compiled
 
 
-class _CompilesAlone:
-    """Compiles or loads a kernel under a lock, in the place of its dispatcher's ``compile``.
+class _CompileUnderLock:
+    """Compiles or loads a kernel under a lock; replaces the ``compile`` of its numba dispatcher.
 
-    numba numbers the files of a function as it finds them. Without a lock two processes that
-    compile it at the same time, for two types of arguments, may each be given the other's code.
+    numba numbers the cached files of a function in the order in which they are made. Without a lock
+    two processes that compile the function at the same time, for two types of arguments, may each
+    load the other's code.
     """
 
     def __init__(
         self,
-        compile_kept: Callable[..., object],
+        compile_cached: Callable[..., object],
         compile_in_memory: Callable[..., object],
         lock_file: str,
     ) -> None:
-        self._compile_kept = compile_kept
+        self._compile_cached = compile_cached
         self._compile_in_memory = compile_in_memory
         self._lock_file = lock_file
-        self._patience_s = COMPILED_WITHIN_S
+        self._longest_wait_s = COMPILED_WITHIN_S
 
     def __call__(self, types: object) -> object:
-        """The code for types of arguments; kept in memory alone where the lock is not to be had."""
-        lock = FileLock(self._lock_file, timeout=self._patience_s)
+        """The code for types of arguments, from the cache or compiled.
+
+        Without the lock it is compiled and not cached.
+        """
+        lock = FileLock(self._lock_file, timeout=self._longest_wait_s)
         try:
             lock.acquire()
         except (OSError, Timeout):
-            self._patience_s = 0.0  # no further call waits for a process that is stopped
+            self._longest_wait_s = 0.0  # no further call waits for a process that is stopped
             return self._compile_in_memory(types)
         try:
-            return self._compile_kept(types)
+            return self._compile_cached(types)
         finally:
             lock.release()
 
 
 def entry(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that Python calls: compiled at its first call, or loaded if it was kept."""
+    """Decorator: a kernel that Python calls, compiled at its first call or loaded from the cache.
+
+    Where the cache cannot be written, each process compiles it again.
+    """
     in_memory: Any = numba.njit(**OPTIONS)(function)
     dispatcher: Callable[..., Any] = in_memory
     folder = cache_folder()
     if folder is not None:
         with _caching_in(folder):
-            kept: Any = numba.njit(cache=True, **OPTIONS)(function)
+            cached: Any = numba.njit(cache=True, **OPTIONS)(function)
         lock_file = os.path.join(folder, f"{function.__name__}.lock")
-        kept.compile = _CompilesAlone(kept.compile, in_memory.compile, lock_file)
-        dispatcher = kept
+        cached.compile = _CompileUnderLock(cached.compile, in_memory.compile, lock_file)
+        dispatcher = cached
     return dispatcher

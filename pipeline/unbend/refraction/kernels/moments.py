@@ -1,7 +1,7 @@
 """R_c of many steep rays from one camera, by moments of the air that all of them share, compiled.
 
 The difference integral of `kernels.ray` is split at the upper end of the interval of `FineTable`
-that holds the target. From that end up to the camera the moments give the integral. From the
+that contains the target. From that end up to the camera the moments give the integral. From the
 target up to that end, less than one interval, three nodes of Gauss and Legendre give it.
 
 With x = 1/r_c, y = h_c - h, u = y x (2 - y x) = 1 - (r/r_c)^2, w = 1/cos^2 zeta_c and
@@ -15,7 +15,7 @@ b_pk = binomial(p - 1/2 + k, k). The angle does not enter the moments M_pk, and 
 they are kept with their derivative by x. One table of them, from the camera down, serves all rays
 of an exposure, however many layers they cross.
 
-In arrays by order the index q = p - 1 stands for the order p.
+In arrays by order the index q = p - 1 is that of the order p.
 """
 
 import math
@@ -24,21 +24,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from unbend.refraction.kernels.columns import HINT_M, LEFT, WORTH_A_TABLE
+from unbend.refraction.kernels.columns import FOR_NEXT_KERNEL, HINT_M, WORTH_A_TABLE
 from unbend.refraction.kernels.grazing import gauss_legendre
 from unbend.refraction.kernels.jit import entry, jit, within
-from unbend.refraction.kernels.ray import Triangle, sides_of, small_angle
+from unbend.refraction.kernels.ray import Triangle, small_arctangent, tangent_fraction
 from unbend.refraction.status_codes import OK
 from unbend.units import Array
 
 # At most so many rays from one height are taken together: their columns fit into a core's cache.
 _MOST_TOGETHER = 4096
 
-# Rays that may turn above land are left to `kernels.ray`. The test is that of `crosses_once`, with
+# Rays that may turn above land are bent by `kernels.ray`. The test is that of `crosses_once`, with
 # land down to this depth below sea level [m]: 700 m more than there is.
 _DEEP_M = 1200.0
 
-# The series is left where its terms fall too slowly: w u and w m at the target.
+# The series is not used where its terms fall too slowly: beyond these w u and w m at the target.
 _LARGEST_W_U = 0.06
 _LARGEST_W_M = 5e-3
 
@@ -46,21 +46,21 @@ _LARGEST_W_M = 5e-3
 # next term is then 1e-11 of the whole.
 _SAME_RADIUS = 0.01
 
-# How many moments of each order the series needs for 1e-12 of itself: one row for each class of
-# rays, which ends at these values of w u and w m. Most rays of a camera are in the first.
+# How many moments of each order the series needs for 1e-12 of itself: a row for each class of rays,
+# with w u and w m up to these values. Most rays of a camera are in the first class.
 _COUNT = np.array([[6, 4, 3, 1, 0], [8, 6, 4, 3, 1], [12, 9, 7, 5, 4]])
 _W_U_OF_CLASS = np.array([0.005, 0.02, _LARGEST_W_U])
 _W_M_OF_CLASS = np.array([6e-4, 2e-3, _LARGEST_W_M])
 _CLASSES = _W_U_OF_CLASS.size
 
 _ORDERS = _COUNT.shape[1]
-_LONGEST = _COUNT[-1]  # moments of each order in the last class, which has the most
-_START = np.concatenate([[0], np.cumsum(_LONGEST)])  # number of the first moment of each order
+_MOST_MOMENTS = _COUNT[-1]  # moments of each order in the last class, which has the most
+_FIRST_MOMENT = np.concatenate([[0], np.cumsum(_MOST_MOMENTS)])  # its number, of each order
 
 
 def _factors() -> Array:
-    """c_p b_pk of the module's equations, (orders, k)."""
-    factors = np.zeros((_ORDERS, int(_LONGEST.max())))
+    """The factors c_p b_pk of the module's equations, (orders, k); row p - 1 is that of order p."""
+    factors = np.zeros((_ORDERS, int(_MOST_MOMENTS.max())))
     for p in range(1, _ORDERS + 1):
         c_p = -math.prod(-(0.5 + i) / (1.0 + i) for i in range(p))
         for k in range(factors.shape[1]):
@@ -72,8 +72,8 @@ _FACTOR = _factors()
 
 # Columns of the table of moments: each moment, followed by its derivative by x, and at last the
 # largest |m| from there up to the camera.
-_COLUMN_OF_M = 2 * int(_START[-1])
-_COLUMNS = _COLUMN_OF_M + 1
+_COLUMN_OF_LARGEST_M = 2 * int(_FIRST_MOMENT[-1])
+_COLUMNS = _COLUMN_OF_LARGEST_M + 1
 
 _X3, _W3 = gauss_legendre(3)
 _FINE_DEGREE = 5  # of the polynomials of `FineTable`
@@ -96,7 +96,7 @@ _ROWS = 13
 
 
 class _Camera(NamedTuple):
-    """The camera of some rays, and the moments from there down."""
+    """The camera of some rays, and the moments of the air below it."""
 
     h_c: float  # height [m]
     big_n_c: float  # N_c, the refractivity at the camera
@@ -116,18 +116,18 @@ class _Group(NamedTuple):
     status: NDArray[np.uint8]
 
 
-class _Room(NamedTuple):
-    """Arrays to work in, for one group of rays after the other."""
+class _WorkArrays(NamedTuple):
+    """Work arrays, used for one group of rays after the other."""
 
     moments: Array  # (k + 1, _COLUMNS)
     steps_down: NDArray[np.int64]  # (n,) intervals between the camera's and that of a target
-    order: NDArray[np.int64]  # (n,) numbers of rays in the order of their intervals
+    order: NDArray[np.int64]  # (n,) numbers of rays, sorted by steps_down
     rays: Array  # (_ROWS, n) the rays to one interval
 
 
 @jit
 def _refractivity_in(coefficient, i, u):  # type: ignore[no-untyped-def]
-    """N where the share u of interval i lies below, by the interval's polynomial."""
+    """N in interval i of `FineTable`, at the share u of the way from its lower edge up."""
     value = coefficient[i, _FINE_DEGREE]
     for j in range(_FINE_DEGREE - 1, -1, -1):
         value = value * u + coefficient[i, j]
@@ -138,9 +138,9 @@ def _refractivity_in(coefficient, i, u):  # type: ignore[no-untyped-def]
 def _fill_moments(air, camera, top, bottom):  # type: ignore[no-untyped-def]
     """Fill the moments M_pk and their derivatives by x, for intervals from ``top`` to ``bottom``.
 
-    ``camera`` is a `_Camera`, which lies in interval ``top``. Row i of its moments is filled with
-    those from ``edge[i]`` of the `FineTable` up to the camera, and with the largest |m| on the way.
-    Each row is the row above and what interval i adds; row top + 1 must be zero.
+    ``camera`` is a `_Camera` in interval ``top`` of ``air``, a `FineTable`. Row i of its moments is
+    filled with those from ``edge[i]`` up to the camera, and with the largest |m| on the way: that
+    is row i + 1 and what interval i adds. Row top + 1 must be zero at the call.
     """
     edge = air.edge
     h_c = camera.h_c
@@ -155,44 +155,44 @@ def _fill_moments(air, camera, top, bottom):  # type: ignore[no-untyped-def]
             refractivity = _refractivity_in(air.coefficient, i, share * _X3[j])
             # m = n^2 - n_c^2, from refractivities, which keep their digits.
             m = (refractivity - camera.big_n_c) * (2.0 + refractivity + camera.big_n_c)
-            if abs(m) > moments[_COLUMN_OF_M]:
-                moments[_COLUMN_OF_M] = abs(m)
+            if abs(m) > moments[_COLUMN_OF_LARGEST_M]:
+                moments[_COLUMN_OF_LARGEST_M] = abs(m)
             y = h_c - (low + (high - low) * _X3[j])
             _add_node(moments, camera, m, y, _W3[j] * (high - low))
 
 
 @jit
 def _add_node(moments, camera, m, y, weight):  # type: ignore[no-untyped-def]
-    """Add what one node of the integrals adds to a row of moments and their derivatives by x.
+    """Add one node of the integrals to ``moments``, a row of M_pk and their derivatives by x.
 
-    ``m`` and ``y`` are those of the module at the node, ``weight`` [m] is that of the node.
+    m = n^2 - n_c^2 and y = h_c - h [m] are those at the node, ``weight`` [m] is that of the node.
     """
     x = camera.x
     index2 = (1.0 + camera.big_n_c) * (1.0 + camera.big_n_c)
-    inside = 1.0 - y * x
-    along = y * (2.0 - y * x)
-    power = weight / inside
+    radius_ratio = 1.0 - y * x  # r / r_c
+    factor_of_k = y * (2.0 - y * x)
+    power = weight / radius_ratio
     for q in range(_ORDERS):
-        power *= m / index2 * inside * inside
-        # d ln(term)/dx: of (1 - y x)^(2p - 1), and of each of the k factors (2 - y x).
-        slope = -(2 * q + 1) * y / inside
+        power *= m / index2 * radius_ratio * radius_ratio
+        # d ln(term)/dx: of (1 - y x)^(2p - 1), p = q + 1, and of each of the k factors (2 - y x).
+        slope = -(2 * q + 1) * y / radius_ratio
         slope_of_factor = -y / (2.0 - y * x)
         term = power
-        for k in range(_LONGEST[q]):
+        for k in range(_MOST_MOMENTS[q]):
             value = _FACTOR[q, k] * term
-            column = 2 * (_START[q] + k)
+            column = 2 * (_FIRST_MOMENT[q] + k)
             moments[column] += value
             moments[column + 1] += value * (slope + k * slope_of_factor)
-            term *= along
+            term *= factor_of_k
 
 
 @jit
 def _fill_above(n, moments, length_class, x_table, rays):  # type: ignore[no-untyped-def]
-    """Fill delta / (x tan zeta_c) of n rays between one height and the camera, by the series.
+    """Fill `_ABOVE`, delta / (x tan zeta_c) from one height up to the camera, of n rays.
 
-    ``moments`` are those of the height, made for 1/r_c = ``x_table``; ``length_class`` says how
-    many of them count. Horner's scheme, in w over the orders and in w x within each, goes term by
-    term over all rays: the short loops run four rays at a time.
+    ``moments`` are those from that height up, made for 1/r_c = ``x_table``; ``length_class`` is the
+    row of `_COUNT` that gives how many are used. Horner's scheme, in w over the orders and in w x
+    within each, goes term by term over all rays: the short loops run four rays at a time.
     """
     w = rays[_W]
     x = rays[_X]
@@ -209,7 +209,7 @@ def _fill_above(n, moments, length_class, x_table, rays):  # type: ignore[no-unt
         for i in range(n):
             of_order[i] = 0.0
         for k in range(_COUNT[length_class, q] - 1, -1, -1):
-            column = 2 * (_START[q] + k)
+            column = 2 * (_FIRST_MOMENT[q] + k)
             value = moments[column]
             slope = moments[column + 1]
             for i in range(n):
@@ -220,9 +220,9 @@ def _fill_above(n, moments, length_class, x_table, rays):  # type: ignore[no-unt
 
 @jit
 def _interval(edge, hint, h):  # type: ignore[no-untyped-def]
-    """Number of the interval of `FineTable` that holds height h: a hint, and steps from there."""
-    k = int((h - edge[0]) / HINT_M)
-    i = hint[min(k, hint.size - 1)]
+    """Number of the interval of `FineTable` that contains height h: a hint, and steps upwards."""
+    hint_number = int((h - edge[0]) / HINT_M)
+    i = hint[min(hint_number, hint.size - 1)]
     while i < edge.size - 2 and edge[i + 1] <= h:
         i += 1
     return i
@@ -230,10 +230,10 @@ def _interval(edge, hint, h):  # type: ignore[no-untyped-def]
 
 @jit
 def _mark_served(air, group, top, steps_down):  # type: ignore[no-untyped-def]
-    """Set the status OK of the rays that the series may serve, and `LEFT` of all others.
+    """Set the status `OK` of rays that the series may serve, `FOR_NEXT_KERNEL` of all others.
 
     ``steps_down`` of served rays is filled with the number of intervals from ``top``, the camera's,
-    down to that of the target. Returns the largest of these, -1 where the series serves no ray.
+    down to that of the target. Returns the largest number, -1 where the series serves no ray.
     The conditions are joined by &, which evaluates all of them, because branches are slower.
     """
     h_c = group.h_c
@@ -258,7 +258,7 @@ def _mark_served(air, group, top, steps_down):  # type: ignore[no-untyped-def]
         depth_of_level = r_c_cos2 / (1.0 + sin_c[i])
         is_deep = depth_of_level > 2.0 * (h_c + _DEEP_M)
         is_served = is_ray & is_downwards & is_same_radius & is_small_w_u & is_deep
-        status[i] = OK if is_served else LEFT
+        status[i] = OK if is_served else FOR_NEXT_KERNEL
         if is_served:
             steps_down[i] = top - _interval(edge, air.hint, h_g[i])
             if steps_down[i] > most_steps:
@@ -268,14 +268,13 @@ def _mark_served(air, group, top, steps_down):  # type: ignore[no-untyped-def]
 
 @jit
 def _fill_order(status, steps_down, most_steps, order):  # type: ignore[no-untyped-def]
-    """Fill ``order`` with the numbers of the rays of status OK, by rising ``steps_down``.
+    """Fill ``order`` with the numbers of the rays of status `OK`, sorted by rising ``steps_down``.
 
-    Returns where the rays of each number of steps begin in ``order``, (most_steps + 2,): the last
-    is the count of all.
+    Returns ``start`` (most_steps + 2,): the rays of k steps are order[start[k] : start[k + 1]].
     """
     start = np.zeros(most_steps + 2, np.int64)
     place = np.empty(most_steps + 2, np.int64)  # where the next ray of each number of steps goes
-    # The rays of k steps are counted in place k + 1: the sums up to there are their beginnings.
+    # The rays of k steps are counted in start[k + 1]; the running sums are then their beginnings.
     for i in range(status.size):
         if status[i] == OK:
             start[steps_down[i] + 1] += 1
@@ -291,11 +290,11 @@ def _fill_order(status, steps_down, most_steps, order):  # type: ignore[no-untyp
 
 @jit
 def _fill_below(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
-    """Fill the difference integral of n rays from their targets up to the end of their interval.
+    """Fill `_BELOW`, the difference integral from the target up to the end of its interval.
 
-    The integrand m r / (a b (a + b)) of `kernels.ray`, a and b as there, is expanded in two small
-    numbers: b^2 = b_m^2 (1 + off), b_m in the middle of the way, ``off`` below 1e-3; and
-    a^2 = b^2 (1 + bending), where the bending m r^2 / b^2 is below 5e-3.
+    The n rays have their targets in ``interval``. The integrand m r / (a b (a + b)), a and b as in
+    `kernels.ray`, is expanded in two small numbers: b^2 = b_m^2 (1 + off), b_m in the middle of the
+    way, ``off`` below 1e-3; a^2 = b^2 (1 + bending), bending = m r^2 / b^2 below 5e-3.
     """
     low = air.edge[interval]
     width = air.edge[interval + 1] - low
@@ -330,21 +329,21 @@ def _fill_below(n, air, interval, camera, rays):  # type: ignore[no-untyped-def]
             m = (refractivity - camera.big_n_c) * (2.0 + refractivity + camera.big_n_c)
             off = index2 * (h - middle) * (r + r_e[i] + middle) * inverse_b2
             # (1 + off)^(-3/2), and the bending with 1 / (1 + off), by their series.
-            by_distance = 1.0 - off * (1.5 - off * (1.875 - off * 2.1875))
+            off_factor = 1.0 - off * (1.5 - off * (1.875 - off * 2.1875))
             bending = m * r * r * inverse_b2 * (1.0 - off * (1.0 - off))
             # 1 / (sqrt(1 + bending) (1 + sqrt(1 + bending))), by its series.
             tail = bending * (0.3125 - bending * (0.2734375 - bending * 0.24609375))
-            by_bending = 0.5 - bending * (0.375 - tail)
-            total += _W3[j] * m * r * by_distance * by_bending
+            bending_factor = 0.5 - bending * (0.375 - tail)
+            total += _W3[j] * m * r * off_factor * bending_factor
         below[i] = total * (high - h_g[i]) * inverse_b2 * math.sqrt(inverse_b2)  # b_m^-3
 
 
 @jit
 def _length_class(n, largest_m, h_c, rays):  # type: ignore[no-untyped-def]
-    """The class of `_COUNT` that is enough for all n rays that the series serves.
+    """The first row of `_COUNT` that is enough for all of the n rays that the series serves.
 
     ``largest_m`` is the largest |m| above the targets, ``h_c`` the height of the camera [m].
-    Returns `_CLASSES` where the series serves no ray.
+    Returns `_CLASSES`, one beyond the last row, where the series serves no ray.
     """
     h_g = rays[_H_G]
     w = rays[_W]
@@ -363,15 +362,16 @@ def _length_class(n, largest_m, h_c, rays):  # type: ignore[no-untyped-def]
     for c in range(_CLASSES):
         if largest_w_u <= _W_U_OF_CLASS[c] and largest_w_m <= _W_M_OF_CLASS[c]:
             return c
-    # `_mark_served` left all rays beyond the last class: only rounding leads here.
+    # `_mark_served` has excluded all rays beyond the last class: only rounding leads here.
     return _CLASSES
 
 
 @within
 def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
-    """Fill R_c of n ``rays`` whose targets lie in interval i; False where the series serves none.
+    """Fill R_c, `_ANGLE`, of n rays with targets in interval i; False where the series serves none.
 
-    ``camera`` is their `_Camera`. R_c follows from delta as in `kernels.ray`.
+    ``camera`` is their `_Camera`, ``rays`` a matrix of `_ROWS` rows. R_c follows from delta as in
+    `kernels.ray`.
     """
     h_g = rays[_H_G]
     sin_c = rays[_SIN_C]
@@ -387,7 +387,7 @@ def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
     for j in range(n):
         w[j] = 1.0 / (cos_c[j] * cos_c[j])
         x[j] = 1.0 / (r_e[j] + h_c)
-    length_class = _length_class(n, camera.moments[i, _COLUMN_OF_M], h_c, rays)
+    length_class = _length_class(n, camera.moments[i, _COLUMN_OF_LARGEST_M], h_c, rays)
     if length_class == _CLASSES:
         return False
     _fill_above(n, camera.moments[i + 1], length_class, camera.x, rays)
@@ -396,7 +396,7 @@ def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
         k = (1.0 + camera.big_n_c) * (r_e[j] + h_c) * sin_c[j]
         delta_below = k * below[j]
         half_delta[j] = 0.5 * (delta_below + sin_c[j] / cos_c[j] * x[j] * above[j])
-    # The angles are below 0.01 wherever the series of moments holds: `small_angle` serves them.
+    # The angles are below 0.01 where the series of moments is used: `small_arctangent` is enough.
     for j in range(n):
         r_c = r_e[j] + h_c
         r_g = r_e[j] + h_g[j]
@@ -410,33 +410,33 @@ def _bend_to_interval(n, air, i, camera, rays):  # type: ignore[no-untyped-def]
             r_c=r_c,
             r_g=r_g,
         )
-        across, ahead = sides_of(half_delta[j], line)
-        angle[j] = small_angle(across / ahead)
+        numerator, denominator = tangent_fraction(half_delta[j], line)
+        angle[j] = small_arctangent(numerator / denominator)
     return True
 
 
 @within
-def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
-    """Fill angles and status of a `_Group` of rays from one height; ``room`` is a `_Room`.
+def _bend_group(air, group, work):  # type: ignore[no-untyped-def]
+    """Fill R_c and status of a `_Group` of rays from one height; ``work`` is a `_WorkArrays`.
 
     Rays to the same interval are taken together, in passes over all of them: short loops keep the
     processor busy, and without a branch run four rays at a time.
     """
     edge = air.edge
     h_c = group.h_c
-    order = room.order
-    rays = room.rays
+    order = work.order
+    rays = work.rays
     # The rays that the series serves, in the order of the intervals of their targets.
     top = _interval(edge, air.hint, h_c)
-    most_steps = _mark_served(air, group, top, room.steps_down)
-    start = _fill_order(group.status, room.steps_down, most_steps, order)
+    most_steps = _mark_served(air, group, top, work.steps_down)
+    start = _fill_order(group.status, work.steps_down, most_steps, order)
 
     # The moments from the camera down to the lowest of these intervals.
     share = (h_c - edge[top]) / (edge[top + 1] - edge[top])
     big_n_c = _refractivity_in(air.coefficient, top, share)
-    camera = _Camera(h_c, big_n_c, 1.0 / (group.r_e[0] + h_c), room.moments)
+    camera = _Camera(h_c, big_n_c, 1.0 / (group.r_e[0] + h_c), work.moments)
     for column in range(_COLUMNS):
-        room.moments[top + 1, column] = 0.0
+        work.moments[top + 1, column] = 0.0
     _fill_moments(air, camera, top, top - most_steps)
 
     # The rays to one interval after the other: copied together, bent, and copied back.
@@ -451,27 +451,27 @@ def _bend_group(air, group, room):  # type: ignore[no-untyped-def]
             rays[_COS_C, j] = group.cos_c[i]
             rays[_R_E, j] = group.r_e[i]
         is_served = _bend_to_interval(n, air, top - steps, camera, rays)
-        largest_m = room.moments[top - steps, _COLUMN_OF_M]
+        largest_m = work.moments[top - steps, _COLUMN_OF_LARGEST_M]
         for j in range(n):
             i = order[start[steps] + j]
             if is_served and largest_m * rays[_W, j] <= _LARGEST_W_M:
                 group.angle[i] = rays[_ANGLE, j]
             else:
-                group.status[i] = LEFT
+                group.status[i] = FOR_NEXT_KERNEL
 
 
 @entry
 def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
     """Fill ``angle`` [rad] and ``status`` of those `RayColumns` that the series of moments serves.
 
-    ``air`` is a `FineTable`. `WORTH_A_TABLE` or more rays from one height that follow each other
-    share a table of moments, filled downwards as far as their targets lie. The other rays get the
-    status `LEFT`.
+    ``air`` is a `FineTable`. `WORTH_A_TABLE` or more consecutive rays from one height share a table
+    of moments, filled down to the lowest target. The other rays get the status `FOR_NEXT_KERNEL`,
+    and their angles are not set.
     """
     edge = air.edge
     h_c = rays.h_c
     most_rays = h_c.size if h_c.size < _MOST_TOGETHER else _MOST_TOGETHER
-    room = _Room(
+    work = _WorkArrays(
         moments=np.empty((edge.size, _COLUMNS)),
         steps_down=np.empty(most_rays, np.int64),
         order=np.empty(most_rays, np.int64),
@@ -479,11 +479,11 @@ def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
     )
     first = 0
     while first < h_c.size:
-        last = first + 1
-        while last < h_c.size and last - first < most_rays and h_c[last] == h_c[first]:
-            last += 1
-        if last - first >= WORTH_A_TABLE and edge[0] <= h_c[first] <= edge[-1]:
-            rows = slice(first, last)
+        end = first + 1
+        while end < h_c.size and end - first < most_rays and h_c[end] == h_c[first]:
+            end += 1
+        if end - first >= WORTH_A_TABLE and edge[0] <= h_c[first] <= edge[-1]:
+            rows = slice(first, end)
             group = _Group(
                 h_c=h_c[first],
                 h_g=rays.h_g[rows],
@@ -493,8 +493,8 @@ def bend_steep_rays(air, rays, angle, status):  # type: ignore[no-untyped-def]
                 angle=angle[rows],
                 status=status[rows],
             )
-            _bend_group(air, group, room)
+            _bend_group(air, group, work)
         else:
-            for i in range(first, last):
-                status[i] = LEFT
-        first = last
+            for i in range(first, end):
+                status[i] = FOR_NEXT_KERNEL
+        first = end

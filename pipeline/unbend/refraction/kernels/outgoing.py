@@ -1,7 +1,7 @@
 """From pixels to rays outside the window, compiled.
 
 The rays of n observations are the matrix (RAY_ROWS, n) of rows `IDEAL_U` to `CAMERA_HEIGHT`.
-Observations of one exposure that follow each other, `ExposureRows`, are taken together. What
+Consecutive observations of one exposure, `ExposureRows`, are taken together. What
 belongs to the exposure is read once. Each step is a short loop over the rows without a branch,
 which touches few columns: the processor does such loops for four rays at a time.
 """
@@ -37,7 +37,7 @@ from unbend.units import Array
 
 FIRST_NEWTON_STEPS = 3  # enough for nearly all pixels, and without a branch
 MORE_NEWTON_STEPS = 30  # at most, for pixels that need more
-ROUNDING = 4e-15  # residual in distorted image coordinates at which the iteration ends
+ROUNDING = 4e-15  # residual in distorted image coordinates below which the iteration ends
 CONVERGED = 1e-12  # largest residual in distorted image coordinates that counts as a solution
 
 SERIES_LIMIT_RAD = 0.01  # up to which the series of `fill_window_change` for R_cc is good
@@ -64,7 +64,7 @@ class _ExposureOptics(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Columns to work in, for all observations."""
+    """Work arrays for all observations."""
 
     direction: Array  # (3, n) unit vectors in the camera frame
     along_normal: Array  # (n,) part of the change at the window along its normal
@@ -72,7 +72,7 @@ class _Scratch(NamedTuple):
 
 @within
 def exposure_rows_from(first, exposure):  # type: ignore[no-untyped-def]
-    """The `ExposureRows` that begin with row ``first``; ``exposure`` (n,) is that of each row."""
+    """The `ExposureRows` from row ``first`` on; ``exposure`` (n,) is the exposure of each row."""
     end = first + np.uint64(1)
     while end < exposure.size and exposure[end] == exposure[first]:
         end += np.uint64(1)
@@ -84,10 +84,10 @@ def exposure_rows_from(first, exposure):  # type: ignore[no-untyped-def]
 
 @jit
 def _newton_step(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
-    """The next estimate of the ideal image coordinates whose distorted ones are (u_d, v_d).
+    """The next estimate of the ideal image coordinates that the lens distorts to (u_d, v_d).
 
-    ``u``, ``v`` is the estimate so far: (u, v) + J^-1 ((u_d, v_d) - distort(u, v)), J the matrix of
-    derivatives of the distortion, which is symmetric.
+    From the estimate (u, v) it is (u, v) + J^-1 ((u_d, v_d) - distort(u, v)), J the symmetric
+    matrix of derivatives of the distortion.
     """
     u_0, v_0 = distort(u, v, parameters)
     uu, uv, vv = slopes(u, v, parameters)
@@ -101,16 +101,16 @@ def _newton_step(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
 
 @jit
 def _residual(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
-    """|u_d - distorted u| + |v_d - distorted v|."""
+    """How far (u, v), distorted, is from (u_d, v_d): the sum of both absolute differences."""
     u_0, v_0 = distort(u, v, parameters)
     return abs(u_0 - u_d) + abs(v_0 - v_d)
 
 
 @jit
 def _ideal_coordinates(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-def]
-    """Ideal image coordinates whose distorted ones are (u_d, v_d), by Newton's iteration.
+    """Ideal image coordinates that the lens distorts to (u_d, v_d), by Newton's iteration.
 
-    It begins with (u, v). NaN where it does not converge.
+    The iteration begins with (u, v). Both results are NaN where it does not converge.
     """
     for _ in range(MORE_NEWTON_STEPS):
         if _residual(u_d, v_d, u, v, parameters) < ROUNDING:
@@ -123,11 +123,12 @@ def _ideal_coordinates(u_d, v_d, u, v, parameters):  # type: ignore[no-untyped-d
 
 @jit
 def _fill_ideal_coordinates(rows, pixels, camera, change_px, rays):  # type: ignore[no-untyped-def]
-    """Fill the rows `IDEAL_U` and `IDEAL_V` of some observations from ``pixels`` (x, y) [px].
+    """Fill `IDEAL_U` and `IDEAL_V` of ``rays`` for the observations ``rows``, `ExposureRows`.
 
-    ``change_px`` [px] is added to the calibrated principal distance. The coordinates are NaN where
-    the pixel is outside the format or outside the radius in which the distortion can be inverted,
-    where the iteration does not converge, and where the principal distance is not positive.
+    ``pixels`` are x and y (n,) [px]. ``change_px`` [px] is added to the calibrated principal
+    distance. The coordinates are NaN where the pixel is outside the format or outside the radius in
+    which the distortion can be inverted, where the iteration does not converge, and where the
+    principal distance is not positive.
     """
     x, y = pixels
     fx = camera.fx + change_px
@@ -147,7 +148,7 @@ def _fill_ideal_coordinates(rows, pixels, camera, change_px, rays):  # type: ign
         u_d[i] = (x[i] - cx) / fx
         v_d[i] = (y[i] - cy) / fy
 
-    # Some of Newton's steps for all pixels, because that takes no branch.
+    # The first of Newton's steps, for all pixels: a fixed number, so that the loop has no branch.
     for i in range(rows.first, rows.end):
         u_i = u_d[i]
         v_i = v_d[i]
@@ -156,7 +157,7 @@ def _fill_ideal_coordinates(rows, pixels, camera, change_px, rays):  # type: ign
         u[i] = u_i
         v[i] = v_i
 
-    # The rest of them one by one, and NaN for pixels that the camera does not cover.
+    # Further steps until each pixel converges, and NaN for pixels that the camera does not cover.
     has_distance = 0.0 < fx < math.inf and 0.0 < fy < math.inf
     for i in range(rows.first, rows.end):
         u_i = math.nan
@@ -172,7 +173,10 @@ def _fill_ideal_coordinates(rows, pixels, camera, change_px, rays):  # type: ign
 
 @entry
 def rays_of_pixels(x, y, camera, rays):  # type: ignore[no-untyped-def]
-    """Fill the rows `IDEAL_U` and `IDEAL_V` of pixels; NaN where the camera does not cover them."""
+    """Fill `IDEAL_U` and `IDEAL_V` of ``rays`` for pixels x, y (n,) [px].
+
+    NaN for pixels that the camera does not cover.
+    """
     rows = ExposureRows(np.uint64(0), np.uint64(x.size))
     _fill_ideal_coordinates(rows, (x, y), camera, 0.0, rays)
 
@@ -196,8 +200,9 @@ def _fill_camera_directions(rows, rays, direction):  # type: ignore[no-untyped-d
 def _fill_rays_outside(rows, rays, scratch, optics, r_cc):  # type: ignore[no-untyped-def]
     """Fill the rays of one exposure outside the window from their ideal image coordinates.
 
-    ``optics`` is the `_ExposureOptics`, ``scratch`` a `_Scratch`. Filled are the rows
-    `WINDOW_CHANGE` to `SPHERE_RADIUS` of ``rays``, and ``r_cc`` [rad]; NaN stays NaN.
+    ``optics`` is the `_ExposureOptics`, ``scratch`` a `_Scratch`, ``rows`` the `ExposureRows`.
+    Filled are the rows `WINDOW_CHANGE` to `SPHERE_RADIUS` of ``rays``, and ``r_cc`` [rad], the
+    refraction angle at the window. All are NaN where the ideal image coordinates are.
     """
     normal = optics.normal
     excess = optics.excess
@@ -206,7 +211,7 @@ def _fill_rays_outside(rows, rays, scratch, optics, r_cc):  # type: ignore[no-un
     along_normal = scratch.along_normal
     _fill_camera_directions(rows, rays, direction)
 
-    # Through the window (Gyer 1996, Eq. 36): the change is excess direction + along_normal normal.
+    # Through the window (Gyer 1996, Eq. 36): change = excess * direction + along_normal * normal.
     if excess == 0.0:
         for i in range(rows.first, rows.end):
             along_normal[i] = 0.0
@@ -284,7 +289,10 @@ def _fill_nadir_angle_and_radius(rows, rays, curvature):  # type: ignore[no-unty
 
 @jit
 def _status_of_input(x, y, h_g, has_station):  # type: ignore[no-untyped-def]
-    """The status of an observation before its ray is computed."""
+    """The status of an observation before its ray is computed: `OK`, or why there is no ray.
+
+    ``has_station`` is False where its exposure has no known station.
+    """
     if not (math.isfinite(x) and math.isfinite(y)):
         return BAD_MEASUREMENT
     if not has_station:
@@ -296,11 +304,11 @@ def _status_of_input(x, y, h_g, has_station):  # type: ignore[no-untyped-def]
 
 @within
 def _set_status_of_rays(rows, rays, refractivity_outside, r_cc, status):  # type: ignore[no-untyped-def]
-    """Set the status of observations whose ray does not exist, and their numbers to NaN.
+    """Set the status of observations without a ray, and their ``rays`` and ``r_cc`` to NaN.
 
-    ``refractivity_outside`` is NaN where the camera is outside the profile. Near total reflection,
-    where R_cc is too large for its series, it is computed anew from the length of the change at the
-    window.
+    ``refractivity_outside`` is NaN where the camera is outside the profile. An R_cc that is too
+    large for its series, near total reflection, is replaced by 2 asin(length of the change at the
+    window / 2).
     """
     u = rays[IDEAL_U]
     for i in range(rows.first, rows.end):
@@ -325,10 +333,10 @@ def _set_status_of_rays(rows, rays, refractivity_outside, r_cc, status):  # type
 
 @entry
 def fill_outgoing_rays(observed, camera, exposures, outgoing):  # type: ignore[no-untyped-def]
-    """Fill the `OutgoingRays` of `ObservationColumns`: rays outside the window, R_cc and status.
+    """Fill ``outgoing``, the `OutgoingRays` of ``observed``: rays outside the window, R_cc, status.
 
-    ``camera`` are the `CameraConstants`, ``exposures`` the `ExposureColumns`. Where the status is
-    not ``ok`` there is no ray to follow, and all numbers are NaN.
+    ``observed`` are `ObservationColumns`, ``camera`` the `CameraConstants`, ``exposures`` the
+    `ExposureColumns`. Where the status is not `OK` there is no ray, and all numbers are NaN.
     """
     x = observed.x
     y = observed.y
@@ -337,8 +345,8 @@ def fill_outgoing_rays(observed, camera, exposures, outgoing):  # type: ignore[n
     rays = outgoing.rays
     r_cc = outgoing.r_cc
     status = outgoing.status
-    room = np.empty((4, x.size))
-    scratch = _Scratch(direction=room[:3], along_normal=room[3])
+    work = np.empty((4, x.size))
+    scratch = _Scratch(direction=work[:3], along_normal=work[3])
     first = np.uint64(0)  # unsigned as in `ExposureRows`
     while first < x.size:
         rows = exposure_rows_from(first, exposure)

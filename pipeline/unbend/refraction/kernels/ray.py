@@ -22,7 +22,7 @@ which is Eq. 11. Near grazing b goes to zero, and `kernels.grazing` serves the r
 import math
 from typing import NamedTuple
 
-from unbend.refraction.kernels.columns import LEFT
+from unbend.refraction.kernels.columns import FOR_NEXT_KERNEL
 from unbend.refraction.kernels.grazing import (
     chord2,
     crosses_once,
@@ -38,12 +38,12 @@ from unbend.refraction.kernels.grazing import (
 from unbend.refraction.kernels.jit import entry, jit
 from unbend.refraction.status_codes import BAD_MEASUREMENT, MISSES_GROUND, OK, OUTSIDE_PROFILE
 
-# The difference form is left where the ray comes this near to grazing the lower of its two ends:
+# The difference form is not used where the ray comes this near to grazing at its lower end:
 # (r cos zeta)^2 there is less than half of that at the upper end. Over a single piece of the table
 # its eight nodes err by 6e-7 arcsec at 0.3, by 2e-10 at 0.5.
 _GRAZING_GUARD = 0.5
 
-# The difference form is also left where the bent ray is much nearer to level than the straight
+# The difference form is also not used where the bent ray is much nearer to level than the straight
 # line, that is where a^2 of the module's equations is less than half of b^2.
 _BENT_GUARD = 0.5
 
@@ -52,24 +52,24 @@ _BENT_GUARD = 0.5
 _SHORTEST_STEP_M = 1e-10
 
 # Nodes and weights of Gauss and Legendre between 0 and 1. Four serve the part of a steep ray in one
-# piece of the table, to 1e-13 of the whole, where that part is no higher than `_WIDEST_M`. Steep is
-# a ray whose (r cos zeta)^2 is at one end more than this share of that at the other.
+# piece of the table, to 1e-13 of the whole, where that part is no higher than `_WIDEST_M`. A
+# ray is steep if its (r cos zeta)^2 is at one end more than `_STEEP_SHARE` of that at the other.
 _X4, _W4 = gauss_legendre(4)
 _X8, _W8 = gauss_legendre(8)
 _WIDEST_M = 260.0
 _STEEP_SHARE = 0.9
 
 _SLACK_M = 1e-6  # heights so far outside the profile are rounding
-_SMALL_ANGLE = 0.01  # up to which the series of `small_angle` is good
-_MOST_STEPS = 100  # of the search for a height, bisections among them
+_SMALL_ANGLE = 0.01  # up to which the series of `small_arctangent` is good
+_MOST_STEPS = 100  # of the search for a height, Newton's and bisections together
 
-# A ray whose chord at the end of the profile is half of this [m] too short still reaches its
-# distance: chord^2 - distance^2 is 2 distance times what the chord lacks.
+# A ray still reaches its distance if the chord at the end of the profile is too short by half of
+# this [m]: distance^2 - chord^2 is 2 distance times what the chord lacks.
 _TWICE_SHORT_M = 2e-6
 
 
 class Triangle(NamedTuple):
-    """The straight line from the camera to the height of the target, all lengths in m."""
+    """The straight line in the ray's direction from the camera to the target's height; in m."""
 
     sense: float  # 1 downwards, -1 upwards
     s: float  # r_c sin zeta_c, the distance of the line from the earth's centre
@@ -85,44 +85,50 @@ class _Search(NamedTuple):
 
     low: float  # limits of the height [m]
     high: float
-    base: float  # height from which s^2 counts [m]: h_90, or one that stands for it
+    base: float  # height where s is 0 [m]: h_90, or a height that replaces it
     start: float  # first guess [m]
     theta_to_rise: float  # angle from the camera through P_90 up to h_c [rad]; 0 before P_90
     sense: float  # 1 where the ray rises on the part that is searched, -1 where it falls
 
 
 @jit
-def sides_of(half_delta, line):  # type: ignore[no-untyped-def]
-    """Numerator and denominator of tan R_c (see the module), times r_c cos zeta_c + q [m2].
+def tangent_fraction(half_delta, line):  # type: ignore[no-untyped-def]
+    """Numerator and denominator of tan R_c, both times r_c |cos zeta_c| + q [m2].
 
-    ``half_delta`` is delta / 2 [rad], below 0.01, ``line`` a `Triangle`.
+        tan R_c = 2 r_g sin(delta / 2) cos(z - delta / 2)
+                  / (D - 2 r_g sin(delta / 2) sin(z - delta / 2))
+
+    with the symbols of the module. ``half_delta`` is delta / 2 [rad], below 0.01; ``line`` is a
+    `Triangle`.
     """
     q = math.sqrt(line.along2_g)
     sum_of_sides = line.along_c + q
-    # Sine and cosine by their series, whose next terms are 1e-14 of the whole.
+    # Sine and cosine by their series; the next terms are 1e-14 of the whole.
     square = half_delta * half_delta
     sin_half = half_delta - half_delta * square * (1.0 / 6.0 - square / 120.0)
     cos_half = 1.0 - square * (0.5 - square / 24.0)
     # r_g sin(z - delta / 2) and r_g cos(z - delta / 2) follow from r_g sin z = s and r_g cos z = q.
     twice_sine = 2.0 * sin_half * sum_of_sides
-    turned = line.sense * twice_sine * (line.s * cos_half - q * sin_half)
-    ahead = line.rise * (line.r_c + line.r_g) - turned
-    across = twice_sine * (q * cos_half + line.s * sin_half)
-    return across, ahead
+    subtrahend = line.sense * twice_sine * (line.s * cos_half - q * sin_half)
+    denominator = line.rise * (line.r_c + line.r_g) - subtrahend
+    numerator = twice_sine * (q * cos_half + line.s * sin_half)
+    return numerator, denominator
 
 
 @jit
-def small_angle(tangent):  # type: ignore[no-untyped-def]
-    """The arctangent of a number up to 0.01 by its series, to 1e-16 of itself."""
+def small_arctangent(tangent):  # type: ignore[no-untyped-def]
+    """The arctangent [rad] of a number up to 0.01 by its series, to 1e-16 of itself."""
     square = tangent * tangent
     return tangent - tangent * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
 
 
 @jit
 def _integral_over_layer(table, ray, i, ends, is_steep):  # type: ignore[no-untyped-def]
-    """The difference integral (see the module) between two heights ``ends`` [m] of piece i.
+    """Integral of (N - N_c) (2 + N + N_c) r / (a b (a + b)) dh between two heights in piece i.
 
-    NaN where the bent ray is nearly level between them.
+    The difference integral of the module. ``ray`` is a `Ray`, ``ends`` are the lower and the upper
+    height [m]; ``is_steep`` states that four nodes are enough, instead of eight, in a thin layer.
+    NaN where the bent ray is nearly level between the ends.
     """
     h_0, h_1 = ends
     width = h_1 - h_0
@@ -155,9 +161,10 @@ def _integral_over_layer(table, ray, i, ends, is_steep):  # type: ignore[no-unty
 
 @jit
 def _difference_integral(table, ray, h_g, is_steep):  # type: ignore[no-untyped-def]
-    """The difference integral (see the module) between h_c and h_g, piece by piece of the table.
+    """The difference integral of the module between h_c and h_g, piece by piece of the table.
 
-    NaN where the bent ray is nearly level before it reaches h_g.
+    ``is_steep`` as in `_integral_over_layer`. NaN where the bent ray is nearly level before it
+    reaches h_g.
     """
     edge = table.edge
     low = min(ray.h_c, h_g)
@@ -177,9 +184,10 @@ def _difference_integral(table, ray, h_g, is_steep):  # type: ignore[no-untyped-
 
 @jit
 def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
-    """R_c [rad] by the difference form (see the module).
+    """R_c [rad] of a `Ray` to the height h_g [m], by the difference form of the module.
 
-    NaN where the bent ray is nearly level before it reaches h_g.
+    That is from delta, the angle that the straight line subtends at the earth's centre less that of
+    the bent ray. NaN where the bent ray is nearly level before it reaches h_g.
     """
     h_c = ray.h_c
     r_c = ray.r_e + h_c
@@ -192,8 +200,8 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
     integral = _difference_integral(table, ray, h_g, is_steep)
     if math.isnan(integral):
         return math.nan
-    # Upwards the bent ray subtends the larger angle in common air. There delta is bent less
-    # straight, and the sign in the denominator of tan R_c turns over too.
+    # Upwards the bent ray subtends the larger angle in common air: delta is then bent less
+    # straight, and the sign in the denominator of tan R_c is reversed too.
     sense = 1.0 if h_g < h_c else -1.0
     half_delta = 0.5 * sense * (1.0 + ray.big_n_c) * s * integral
     line = Triangle(
@@ -205,10 +213,10 @@ def bend_by_difference(table, ray, h_g):  # type: ignore[no-untyped-def]
         r_c=r_c,
         r_g=r_g,
     )
-    across, ahead = sides_of(half_delta, line)
-    if abs(across) < _SMALL_ANGLE * ahead:
-        return small_angle(across / ahead)
-    return math.atan2(across, ahead)
+    numerator, denominator = tangent_fraction(half_delta, line)
+    if abs(numerator) < _SMALL_ANGLE * denominator:
+        return small_arctangent(numerator / denominator)
+    return math.atan2(numerator, denominator)
 
 
 @jit
@@ -241,10 +249,11 @@ def _status_of_input(table, rays, i):  # type: ignore[no-untyped-def]
 
 @entry
 def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def]
-    """Fill ``angle`` [rad] and ``status`` for the rays of `RayColumns` that ``which`` numbers.
+    """Fill R_c, ``angle`` [rad], and ``status`` of the rays with the row numbers ``which``.
 
-    The status is `LEFT` for a ray that the difference form does not serve, whose angle is NaN, and
-    for a ray that may meet its height twice, whose angle is that of the near crossing.
+    ``rays`` are `RayColumns`, ``table`` is an `IndexTable`. The status is `FOR_NEXT_KERNEL` for a
+    ray that the difference form does not serve, with the angle NaN, and for a ray that may meet its
+    target's height twice, with the angle of the near crossing.
     """
     for i in which:
         angle[i] = math.nan
@@ -257,16 +266,16 @@ def bend_rays(table, rays, which, angle, status):  # type: ignore[no-untyped-def
             angle[i] = 0.0
         elif _is_far_from_grazing(ray, h_g):
             angle[i] = bend_by_difference(table, ray, h_g)
-        once = not math.isnan(angle[i]) and crosses_once(table, ray, h_g)
-        status[i] = OK if once else LEFT
+        is_only_crossing = not math.isnan(angle[i]) and crosses_once(table, ray, h_g)
+        status[i] = OK if is_only_crossing else FOR_NEXT_KERNEL
 
 
 @jit
 def _subtended_to_height(table, ray, h, theta_to_rise):  # type: ignore[no-untyped-def]
-    """Angle [rad] that a ray has subtended since the camera where its height is h.
+    """Angle [rad] at the earth's centre from the camera to where the height of the ray is h [m].
 
-    ``theta_to_rise`` is the angle through P_90 up to the camera's height, and zero where h is
-    reached before P_90.
+    ``theta_to_rise`` is the angle from the camera through P_90, the lowest point, up to the
+    camera's height again; zero where h is reached before P_90.
     """
     theta_between = subtended(table, ray, min(h, ray.h_c), max(h, ray.h_c), is_level_at_low=False)
     if not theta_to_rise > 0.0:
@@ -296,10 +305,11 @@ def _chord2_slope(table, ray, theta, h, sense):  # type: ignore[no-untyped-def]
 
 @jit
 def _step_in_s(s, s_0, s_1, too_long_m2, slope):  # type: ignore[no-untyped-def]
-    """The next step of the search for s between ``s_0`` and ``s_1``, with h = base + s^2.
+    """The next step in s [m^0.5] of the search between ``s_0`` and ``s_1``, with h = base + s^2.
 
-    The square of the chord is ``too_long_m2`` [m2] too large, and ``slope`` is its derivative by h.
-    Newton's step, or the step to the middle of the interval where Newton's would leave it.
+    At ``s`` the square of the chord is ``too_long_m2`` [m2] too large, and ``slope`` [m] is its
+    derivative by h. The step is Newton's, or leads to the middle of the interval where Newton's
+    would leave the interval.
     """
     step = -too_long_m2 / (slope * 2.0 * s) if s > 0.0 else math.nan  # dh/ds is 2 s
     is_inside = s_0 < s + step < s_1  # False for NaN
@@ -308,15 +318,15 @@ def _step_in_s(s, s_0, s_1, too_long_m2, slope):  # type: ignore[no-untyped-def]
 
 @jit
 def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def]
-    """The height [m] at which the chord is ``distance`` [m] long, and status; see `_Search`.
+    """The height [m] at which the chord from the camera is ``distance`` [m] long, and the status.
 
-    Newton's iteration in s with h = base + s^2: in s the chord is smooth through P_90, in h it is
-    not.
+    ``search`` is a `_Search`. Newton's iteration in s with h = base + s^2: in s the chord is smooth
+    through P_90, in h it is not. The height is NaN unless the status is `OK`.
     """
     low = search.low
     high = search.high
     base = search.base
-    # The interval, and the first guess: its middle where the height of the guess lies outside.
+    # The first guess is the start height, or the middle of the interval if that is outside.
     s_0 = math.sqrt(max(low - base, 0.0))
     s_1 = math.sqrt(max(high - base, 0.0))
     s = 0.5 * (s_0 + s_1)
@@ -338,7 +348,7 @@ def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def
         slope = _chord2_slope(table, ray, theta, h, search.sense)
         step = _step_in_s(s, s_0, s_1, too_long_m2, slope)
         s += step
-        # The left side is at least the change of the height, which is that of s^2.
+        # |step| (2 s + |step|) is at least the change of s^2, which is that of the height.
         if abs(step) * (2.0 * s + abs(step)) < _SHORTEST_STEP_M:
             break
     if is_reached or abs(too_long_m2) < _TWICE_SHORT_M * distance:
@@ -348,10 +358,10 @@ def _search_height(table, ray, distance, search):  # type: ignore[no-untyped-def
 
 @jit
 def _start_height(ray, distance):  # type: ignore[no-untyped-def]
-    """Height [m] at a distance along the straight line in the ray's direction: a first guess.
+    """Height [m] at a distance [m] along the straight line in the ray's direction at the camera.
 
-    It differs from the height of the ray by tenths of a metre for steep rays, by kilometres for
-    level ones.
+    A first guess: it differs from the height of the ray by tenths of a metre for steep rays, by
+    kilometres for level ones.
     """
     r_c = ray.r_e + ray.h_c
     square_change = distance * (distance - 2.0 * r_c * ray.cos_c)  # r^2 - r_c^2
@@ -367,33 +377,38 @@ def _chord_to_lowest(table, ray, h_90):  # type: ignore[no-untyped-def]
 
 @jit
 def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
-    """Height [m] and status of one ray at one distance [m]."""
+    """Height [m] and status of a `Ray` at the length ``distance`` [m] of the chord from its camera.
+
+    The height is NaN unless the status is `OK`.
+    """
     h_c = ray.h_c
     bottom = table.edge[0]
     top = table.edge[-1]
     start = _start_height(ray, distance)
     h_90 = turning_height(table, ray) if ray.cos_c > 0.0 else math.nan
-    # The search goes by s = sqrt(h - base), in which the chord is smooth if the ray is level at
-    # the base. For h_90, in a ray without a lowest point, stands the height at which it would be
+    # The search is in s = sqrt(h - base), in which the chord is smooth if the ray is level at the
+    # base. A ray without a lowest point gets, instead of h_90, the height at which it would be
     # level if n r grew by a metre for each metre of height.
-    level = h_c - ray.lift
+    level_height = h_c - ray.lift
     if ray.cos_c <= 0.0:  # the ray rises from the camera on
-        search = _Search(low=h_c, high=top, base=level, start=start, theta_to_rise=0.0, sense=1.0)
+        search = _Search(
+            low=h_c, high=top, base=level_height, start=start, theta_to_rise=0.0, sense=1.0
+        )
     elif math.isnan(h_90):  # it falls to the end of the table
         search = _Search(
             low=bottom,
             high=h_c,
-            base=min(level, bottom),
+            base=min(level_height, bottom),
             start=start,
             theta_to_rise=0.0,
             sense=-1.0,
         )
-    elif _chord_to_lowest(table, ray, h_90) >= distance:  # the distance ends before P_90
+    elif _chord_to_lowest(table, ray, h_90) >= distance:  # reached before P_90
         search = _Search(low=h_90, high=h_c, base=h_90, start=start, theta_to_rise=0.0, sense=-1.0)
-    else:  # the distance ends behind P_90, where the ray rises again
+    else:  # reached behind P_90, where the ray rises again
         theta_to_rise = subtended_to_rise(table, ray)
         if not theta_to_rise > 0.0:
-            return math.nan, MISSES_GROUND  # its lowest point lies under all land
+            return math.nan, MISSES_GROUND  # its lowest point is below all land
         search = _Search(
             low=h_90, high=top, base=h_90, start=start, theta_to_rise=theta_to_rise, sense=1.0
         )
@@ -402,9 +417,10 @@ def _ray_height(table, ray, distance):  # type: ignore[no-untyped-def]
 
 @entry
 def ray_heights(table, rays, height, status):  # type: ignore[no-untyped-def]
-    """Fill ``height`` [m] and ``status`` of the points of `RayColumns` at their distances.
+    """Fill ``height`` [m] and ``status`` of the points of `RayColumns` at ``distance``.
 
-    The distances are lengths of straight chords from the camera; h_g is not read.
+    That is the length of the straight chord from the camera; h_g is not read. A height is NaN
+    unless its status is `OK`.
     """
     edge = table.edge
     for i in range(rays.h_c.size):

@@ -35,12 +35,12 @@ from unbend.units import Array
 
 
 class _Scratch(NamedTuple):
-    """Columns to work in, for all observations."""
+    """Work arrays for all observations."""
 
     sin_half_r: Array  # (n,) sin(R_c / 2)
     sin_r: Array  # (n,) sin(R_c)
     to_nadir: Array  # (3, n) straight less apparent unit vector outside: e' - e, n' - n, u' - u
-    vector: Array  # (3, n) a vector of each ray; each function fills it with another one
+    vector: Array  # (3, n) any vector of each ray; each function that uses it fills it first
 
 
 class _ExposedCamera(NamedTuple):
@@ -53,11 +53,11 @@ class _ExposedCamera(NamedTuple):
 
 @jit
 def _straight_distance(cos_z, h_c, h_g, radius, is_far):  # type: ignore[no-untyped-def]
-    """Distance D [m] along a straight line to where its height is h_g; NaN where it never is.
+    """Distance D [m] along a straight line from height h_c to height h_g; NaN without a crossing.
 
-    With r = radius + h the law of cosines gives D^2 - 2 D r_c cos(z) + r_c^2 - r_g^2 = 0, z the
-    nadir angle. Downwards D is the smaller root, or with ``is_far`` the larger; upwards only the
-    larger is positive.
+    ``cos_z`` is the cosine of its nadir angle z at h_c. With r = radius + h the law of cosines
+    gives D^2 - 2 D r_c cos(z) + r_c^2 - r_g^2 = 0. Downwards D is the smaller root, or with
+    ``is_far`` the larger; upwards only the larger is positive.
     """
     if h_c == h_g and not is_far:
         return 0.0
@@ -71,9 +71,10 @@ def _straight_distance(cos_z, h_c, h_g, radius, is_far):  # type: ignore[no-unty
 
 @entry
 def fill_straight_reach(rays, is_far, distance):  # type: ignore[no-untyped-def]
-    """Fill the distances [m] at which the straight lines of `RayColumns` meet their target heights.
+    """Fill ``distance`` (n,) [m] along straight lines from cameras to their targets' heights.
 
-    Downwards the nearer of two crossings, or the farther where ``is_far`` (n,); sin_c is not read.
+    ``rays`` are `RayColumns`, of them sin_c is not read. Downwards it is the nearer of two
+    crossings, or the farther where ``is_far`` (n,); NaN without a crossing.
     """
     for i in range(distance.size):
         distance[i] = _straight_distance(
@@ -83,7 +84,11 @@ def fill_straight_reach(rays, is_far, distance):  # type: ignore[no-untyped-def]
 
 @within
 def _fill_turn_to_nadir(rays, angle, scratch):  # type: ignore[no-untyped-def]
-    """Fill ``scratch.to_nadir`` of all rays from their refraction angles (see the module)."""
+    """Fill ``scratch.to_nadir`` (3, n), unit vectors of straight less apparent rays outside.
+
+    ``angle`` (n,) is R_c [rad]; the equations are those of the module. Also filled are ``sin_r``
+    and ``sin_half_r``.
+    """
     sin_half_r = scratch.sin_half_r
     sin_r = scratch.sin_r
     to_nadir = scratch.to_nadir
@@ -94,7 +99,7 @@ def _fill_turn_to_nadir(rays, angle, scratch):  # type: ignore[no-untyped-def]
         sin_z = rays[NADIR_SINE, i]
         cos_z = rays[NADIR_COSINE, i]
         second_order = -2.0 * (sin_half_r[i] * sin_half_r[i])
-        # A ray at the nadir has R_c = 0, and its sine divides nothing.
+        # A ray at the nadir has R_c = 0: the term is zero, and 0 / 0 is avoided.
         first_order = sin_r[i] * cos_z / sin_z if sin_z > 0.0 else 0.0
         to_nadir[0, i] = rays[DIRECTION, i] * (second_order - first_order)
         to_nadir[1, i] = rays[DIRECTION + 1, i] * (second_order - first_order)
@@ -103,11 +108,12 @@ def _fill_turn_to_nadir(rays, angle, scratch):  # type: ignore[no-untyped-def]
 
 @within
 def _fill_image_shift(rows, rays, scratch, exposed, shifts):  # type: ignore[no-untyped-def]
-    """Fill ``dx`` and ``dy`` [px] of the `Shifts` of one exposure, an `_ExposedCamera`.
+    """Fill ``dx`` and ``dy`` [px], corrected less measured pixel, for the rows of one exposure.
 
-    The measured pixel is fx + ``change_px`` times the distorted u of the ray inside the camera. The
-    corrected one is fx times the distorted u of the straight ray, which is (u, v, 1) as a unit
-    vector, changed by the window and by the turn to the nadir. Likewise y.
+    ``exposed`` is its `_ExposedCamera`, ``shifts`` are the `Shifts`. The measured x - cx is
+    (fx + ``change_px``) u_d, with u_d the distorted u of the ray inside the camera. The corrected
+    x - cx is fx u_d, with u_d that of the straight ray. The straight ray is the unit vector of
+    (u, v, 1), changed by the window and by the turn to the nadir. Likewise y.
     """
     camera = exposed.camera
     rotation = exposed.rotation
@@ -136,8 +142,8 @@ def _fill_image_shift(rows, rays, scratch, exposed, shifts):  # type: ignore[no-
     change_y = change[1]
     change_z = change[2]
     for i in range(rows.first, rows.end):
-        # u of the straight ray is its x / z: (u z + change_x) / (z + change_z), z that of the ray
-        # inside, without a difference of near numbers.
+        # u of the straight ray, its x / z, is (u z + change_x) / (z + change_z), with z of the unit
+        # vector inside; here without a difference of near numbers.
         straight_z = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i] + 1.0) + change_z[i]
         u_straight = u[i] + (change_x[i] - u[i] * change_z[i]) / straight_z
         v_straight = v[i] + (change_y[i] - v[i] * change_z[i]) / straight_z
@@ -148,35 +154,41 @@ def _fill_image_shift(rows, rays, scratch, exposed, shifts):  # type: ignore[no-
 
 
 @jit
-def _stated_less_ideal(u, v, camera, change_px):  # type: ignore[no-untyped-def]
-    """How far the stated calibration has the ideal u, v of a ray from where they are.
+def _error_without_lens_change(u, v, camera, change_px):  # type: ignore[no-untyped-def]
+    """How far ideal coordinates are wrong if the pixel is read without the change of the lens.
 
-    The principal distance has changed by ``change_px`` in the air of the lens; first order, whose
-    second is 1e-4 of it.
+    The ray (u, v) is imaged with the principal distances fx + ``change_px`` and fy + ``change_px``.
+    The stated calibration, with fx and fy, gives its pixel the ideal coordinates u + du, v + dv.
+    Returns du and dv to first order; the second order is 1e-4 of that.
     """
-    u_measured, v_measured = distort(u, v, camera.distortion)
-    du_measured = change_px / camera.fx * u_measured
-    dv_measured = change_px / camera.fy * v_measured
+    u_distorted, v_distorted = distort(u, v, camera.distortion)
+    du_distorted = change_px / camera.fx * u_distorted
+    dv_distorted = change_px / camera.fy * v_distorted
     uu, uv, vv = slopes(u, v, camera.distortion)
     determinant = uu * vv - uv * uv
-    du = (vv * du_measured - uv * dv_measured) / determinant
-    dv = (uu * dv_measured - uv * du_measured) / determinant
+    du = (vv * du_distorted - uv * dv_distorted) / determinant
+    dv = (uu * dv_distorted - uv * du_distorted) / determinant
     return du, dv
 
 
 @within
 def _add_change_of_lens(rows, rays, exposed, inside):  # type: ignore[no-untyped-def]
-    """Turn the unit vectors ``inside`` (3, n) to where the stated calibration sees the rays."""
+    """Change rays inside the window to those that the stated calibration gives their pixels.
+
+    ``inside`` (3, n) are their unit vectors in east, north and up, ``rows`` those of the exposure
+    ``exposed``. The stated calibration omits the change of the principal distance.
+    """
     rotation = exposed.rotation
     for i in range(rows.first, rows.end):
         u = rays[IDEAL_U, i]
         v = rays[IDEAL_V, i]
-        du, dv = _stated_less_ideal(u, v, exposed.camera, exposed.change_px)
+        du, dv = _error_without_lens_change(u, v, exposed.camera, exposed.change_px)
         z = 1.0 / math.sqrt(u * u + v * v + 1.0)
         stated_z = 1.0 / math.sqrt((u + du) * (u + du) + (v + dv) * (v + dv) + 1.0)
         change_x = (u + du) * stated_z - u * z
         change_y = (v + dv) * stated_z - v * z
         change_z = stated_z - z
+        # From the camera frame to east, north and up: by the transposed rotation.
         for k in range(3):
             along_x = rotation[0, k] * change_x
             along_y = rotation[1, k] * change_y
@@ -186,11 +198,10 @@ def _add_change_of_lens(rows, rays, exposed, inside):  # type: ignore[no-untyped
 
 @within
 def _fill_ground_shift(rows, traced, h_g, scratch, exposed, shift):  # type: ignore[no-untyped-def]
-    """Fill how far apart two straight rays meet the height ``h_g`` of the target [m].
+    """Fill ``shift`` [m], how far apart the raw and the true ray meet the target's height ``h_g``.
 
-    The raw one has the direction that the stated calibration gives the measured pixel, the true
-    one that of the straight ray to the target. ``shift`` (n,) [m] is filled for one exposure, an
-    `_ExposedCamera`.
+    Both are straight. The raw ray has the direction that the stated calibration gives the measured
+    pixel, the true ray is that to the target. Filled are the ``rows`` of one exposure, ``exposed``.
     """
     rotation = exposed.rotation
     rays = traced.rays
@@ -223,6 +234,7 @@ def _fill_ground_shift(rows, traced, h_g, scratch, exposed, shift):  # type: ign
         cos_true = -up[i] - to_nadir[2, i]
         raw_m = _straight_distance(cos_raw, h_c[i], h_g[i], radius[i], is_far)
         true_m = _straight_distance(cos_true, h_c[i], h_g[i], radius[i], is_far)
+        # The point of the raw ray less that of the true ray.
         to_east = inside[0, i] * raw_m - (east[i] + to_nadir[0, i]) * true_m
         to_north = inside[1, i] * raw_m - (north[i] + to_nadir[1, i]) * true_m
         upwards = inside[2, i] * raw_m - (up[i] + to_nadir[2, i]) * true_m
@@ -231,17 +243,17 @@ def _fill_ground_shift(rows, traced, h_g, scratch, exposed, shift):  # type: ign
 
 @entry
 def fill_shifts(observed, camera, exposures, traced, shifts):  # type: ignore[no-untyped-def]
-    """Fill the `Shifts` in the image and on the ground that refraction angles amount to.
+    """Fill ``shifts``, the `Shifts` in the image and on the ground by the refraction of rays.
 
     ``observed`` are `ObservationColumns`, ``camera`` `CameraConstants`, ``exposures``
     `ExposureColumns` and ``traced`` `TracedColumns`. Shifts are NaN where there is no refraction
-    angle; a row whose exposure is not among ``exposures`` has none.
+    angle, as in a row with an exposure that is not among ``exposures``.
     """
     exposure = observed.exposure
     exposure_count = exposures.usable.size
     angle = traced.angle
-    room = np.empty((8, angle.size))
-    scratch = _Scratch(sin_half_r=room[0], sin_r=room[1], to_nadir=room[2:5], vector=room[5:8])
+    work = np.empty((8, angle.size))
+    scratch = _Scratch(sin_half_r=work[0], sin_r=work[1], to_nadir=work[2:5], vector=work[5:8])
     _fill_turn_to_nadir(traced.rays, angle, scratch)
     first = np.uint64(0)  # unsigned as in `ExposureRows`
     while first < angle.size:

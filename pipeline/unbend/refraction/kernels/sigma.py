@@ -10,7 +10,8 @@ A nadir angle that changes by d zeta turns the corrected ray by (1 - dR/dzeta) d
 refraction angle R_c.
 
 The two quantities x and y of the air that `uncertainty.sigmas` defines are ``air_x`` and ``air_y``
-here; x and y alone are coordinates of pixels.
+here: the air turns a ray behind a window by tan(zeta) air_x, and by air_y as far as the window's
+normal is not vertical. x and y alone are coordinates of pixels.
 """
 
 import math
@@ -29,7 +30,7 @@ from unbend.refraction.kernels.columns import (
 )
 from unbend.refraction.kernels.distortion import slopes
 from unbend.refraction.kernels.jit import entry, jit, within
-from unbend.refraction.kernels.sigma_heights import BentRay, by_heights
+from unbend.refraction.kernels.sigma_heights import BentRay, height_derivatives
 from unbend.refraction.kernels.sigma_rows import (
     AIR_DX,
     AIR_DY,
@@ -67,7 +68,7 @@ from unbend.refraction.kernels.sigma_rows import (
     Y_PX,
 )
 from unbend.refraction.kernels.sigma_station import Vector, station_at
-from unbend.refraction.kernels.sigma_tables import fill_positions, interpolate
+from unbend.refraction.kernels.sigma_tables import fill_positions, interpolate_air
 from unbend.refraction.kernels.window import dot
 from unbend.refraction.status_codes import FAR_BRANCH
 
@@ -81,10 +82,10 @@ _COPIED_ROWS = (
     SPHERE_RADIUS,
     CAMERA_HEIGHT,
 )
-"""Rows of a matrix of rays that are copied to the room."""
+"""Rows of a matrix of rays that are copied to the work matrix."""
 
 # Up to this sine of its nadir angle a ray has no azimuth, and R / sin(zeta) is dR/dzeta.
-_AT_NADIR = 1e-9
+_LARGEST_SINE_AT_NADIR = 1e-9
 
 
 class _CameraRay(NamedTuple):
@@ -125,7 +126,7 @@ class _AirOfRay(NamedTuple):
 
     sigma_r: float  # of R_c [rad]
     sigma_air_x: float
-    shared: float  # covariance of air_x and air_y over sigma of air_y
+    shared_air_xy: float  # covariance of air_x and air_y over sigma of air_y
     sigma_air_y: float
 
 
@@ -147,11 +148,12 @@ class _PixelSigmas(NamedTuple):
 
 @jit
 def _azimuth(east, north, sin_z):  # type: ignore[no-untyped-def]
-    """Unit vector (east, north) of the azimuth of a ray with the parts ``east`` and ``north``.
+    """Unit vector (east, north) in the azimuth of a ray.
 
-    A ray at the nadir gets the azimuth of east: any will do there.
+    ``east`` and ``north`` are components of its unit vector, ``sin_z`` is the sine of its nadir
+    angle. A ray at the nadir gets the azimuth of east: any azimuth is right there.
     """
-    if not sin_z > _AT_NADIR:
+    if not sin_z > _LARGEST_SINE_AT_NADIR:
         return 1.0, 0.0
     inverse = 1.0 / sin_z
     return east * inverse, north * inverse
@@ -159,11 +161,11 @@ def _azimuth(east, north, sin_z):  # type: ignore[no-untyped-def]
 
 @jit
 def _turns_on_axis(axis, azimuth, ray):  # type: ignore[no-untyped-def]
-    """The parts on one axis of the camera of the directions along and across of a `BentRay`.
+    """Components of the directions along and across of a `BentRay` on one axis of the camera.
 
-    ``axis`` is the axis in east, north and up. In these ``along`` is
-    (-cos(zeta) east, -cos(zeta) north, -sin(zeta)), with (east, north) the ``azimuth``, and
-    ``across`` is (-north, east, 0).
+    ``axis`` is the unit vector of that axis in east, north and up. In this frame the direction
+    along is (-cos(zeta) east, -cos(zeta) north, -sin(zeta)), with (east, north) the ``azimuth``,
+    and the direction across is (-north, east, 0).
     """
     east, north = azimuth
     along = -ray.cos_z * (axis[0] * east + axis[1] * north) - ray.sin_z * axis[2]
@@ -173,7 +175,11 @@ def _turns_on_axis(axis, azimuth, ray):  # type: ignore[no-untyped-def]
 
 @jit
 def _camera_ray(u, v, azimuth, ray, rotation):  # type: ignore[no-untyped-def]
-    """The `_CameraRay` of a `BentRay`; ``azimuth`` is its unit vector (east, north)."""
+    """The `_CameraRay` of a `BentRay` with the ideal image coordinates u, v.
+
+    ``azimuth`` is its unit vector (east, north), ``rotation`` the rows from east-north-up to the
+    camera frame.
+    """
     along_0, across_0 = _turns_on_axis(rotation[0], azimuth, ray)
     along_1, across_1 = _turns_on_axis(rotation[1], azimuth, ray)
     along_2, across_2 = _turns_on_axis(rotation[2], azimuth, ray)
@@ -187,14 +193,15 @@ def _camera_ray(u, v, azimuth, ray, rotation):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _moved_pixel(ray, turn, camera, d_image):  # type: ignore[no-untyped-def]
-    """What a turn of a `_CameraRay` towards the unit vector ``turn`` does to x and y [px/rad].
+def _moved_pixel(ray, direction, camera, d_image):  # type: ignore[no-untyped-def]
+    """How far x and y of a pixel move per turn of its `_CameraRay` towards ``direction`` [px/rad].
 
-    ``d_image`` are the derivatives of the distortion, du_d/du, du_d/dv and dv_d/dv. See the module.
+    ``direction`` is a unit vector in the camera frame, square to the ray. ``d_image`` are the
+    derivatives of the distortion, du_d/du, du_d/dv and dv_d/dv. The equations are the module's.
     """
     uu, uv, vv = d_image
-    du = turn[0] - ray.u * turn[2]
-    dv = turn[1] - ray.v * turn[2]
+    du = direction[0] - ray.u * direction[2]
+    dv = direction[1] - ray.v * direction[2]
     moved_x = camera.fx * ray.depth * (uu * du + uv * dv)
     moved_y = camera.fy * ray.depth * (uv * du + vv * dv)
     return moved_x, moved_y
@@ -202,7 +209,7 @@ def _moved_pixel(ray, turn, camera, d_image):  # type: ignore[no-untyped-def]
 
 @jit
 def _pixel_turns(ray, camera, d_image):  # type: ignore[no-untyped-def]
-    """The `_PixelTurn` of x and that of y for a `_CameraRay`; ``d_image`` as `_moved_pixel`."""
+    """The `_PixelTurn` of x and that of y for a `_CameraRay`; ``d_image`` as in `_moved_pixel`."""
     along_x, along_y = _moved_pixel(ray, ray.along, camera, d_image)
     across_x, across_y = _moved_pixel(ray, ray.across, camera, d_image)
     return _PixelTurn(along_x, across_x), _PixelTurn(along_y, across_y)
@@ -210,10 +217,10 @@ def _pixel_turns(ray, camera, d_image):  # type: ignore[no-untyped-def]
 
 @jit
 def _window_turns(ray, dr_dzeta, station):  # type: ignore[no-untyped-def]
-    """The `_WindowTurns` of a `_CameraRay`.
+    """The `_WindowTurns` of a `_CameraRay` at the window of a `Station`; ``dr_dzeta`` is dR/dzeta.
 
-    At the window with the normal m the ray d turns by m / (m . d) - d per unit of dN_c - dN_cc
-    (Gyer 1996, Eq. 36). The part along changes the nadir angle, and by that R.
+    At a window with the normal m the unit vector d of a ray turns by m / (m . d) - d per unit of
+    dN_c - dN_cc (Gyer 1996, Eq. 36). The part along changes the nadir angle, and so R too.
     """
     if station.window_kind < 0:
         return _WindowTurns(0.0, 0.0, 0.0)
@@ -226,18 +233,24 @@ def _window_turns(ray, dr_dzeta, station):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _motion(ray, azimuth, window, n_g, station):  # type: ignore[no-untyped-def]
-    """The `_Motion` of a `BentRay`; ``window`` are its `_WindowTurns`, ``n_g`` N at its target."""
-    d_h_c, d_h_g = by_heights(ray, n_g, station)
+def _motion(ray, azimuth, window, big_n_g, station):  # type: ignore[no-untyped-def]
+    """The `_Motion` of a `BentRay` from a `Station`.
+
+    ``azimuth`` is its unit vector (east, north), ``window`` are its `_WindowTurns`, ``big_n_g`` is
+    N at its target.
+    """
+    d_h_c, d_h_g = height_derivatives(ray, big_n_g, station)
     # A turn about the yaw axis moves the nadir by nadir x axis, which is (axis_north, -axis_east)
     # in east and north. Its parts are those on the azimuth and on the direction across.
     east, north = azimuth
     axis_east = station.yaw_axis_east
     axis_north = station.yaw_axis_north
+    is_at_nadir = not ray.sin_z > _LARGEST_SINE_AT_NADIR
+    swing = ray.dr_dzeta if is_at_nadir else ray.angle * (1.0 / ray.sin_z)
     return _Motion(
         tan_z=ray.sin_z * (1.0 / ray.cos_z),
         dr_dzeta=ray.dr_dzeta,
-        swing=ray.angle * (1.0 / ray.sin_z) if ray.sin_z > _AT_NADIR else ray.dr_dzeta,
+        swing=swing,
         window=window,
         d_h_c=d_h_c,
         d_h_g=d_h_g,
@@ -247,16 +260,17 @@ def _motion(ray, azimuth, window, n_g, station):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _air_sigma(turn, leaning, motion, air):  # type: ignore[no-untyped-def]
+def _air_sigma(turn, by_air_y, motion, air):  # type: ignore[no-untyped-def]
     """Sigma of one coordinate [px] by the air, for a ray through a plane window.
 
-    The air moves the pixel by straight * air_x + leaning * air_y, where ``straight`` is what a turn
-    along by tan(zeta) does. ``leaning`` is what the window does beside that, by its lean [px].
+    The air moves the coordinate by ``by_air_x`` * air_x + ``by_air_y`` * air_y, where ``by_air_x``
+    [px] is the effect of a turn by tan(zeta) towards the nadir. ``by_air_y`` [px] is what the lean
+    of the window adds. ``turn`` is a `_PixelTurn`, ``air`` an `_AirOfRay`.
     """
-    straight = turn.along * motion.tan_z
-    variance = straight * straight * air.sigma_air_x * air.sigma_air_x
-    variance += 2.0 * straight * leaning * air.shared * air.sigma_air_y
-    variance += leaning * leaning * air.sigma_air_y * air.sigma_air_y
+    by_air_x = turn.along * motion.tan_z
+    variance = by_air_x * by_air_x * air.sigma_air_x * air.sigma_air_x
+    variance += 2.0 * by_air_x * by_air_y * air.shared_air_xy * air.sigma_air_y
+    variance += by_air_y * by_air_y * air.sigma_air_y * air.sigma_air_y
     return 0.0 if variance < 0.0 else math.sqrt(variance)
 
 
@@ -264,11 +278,12 @@ def _air_sigma(turn, leaning, motion, air):  # type: ignore[no-untyped-def]
 def _station_sigma(turn, by_window, motion, station):  # type: ignore[no-untyped-def]
     """Sigma of one coordinate [px] by the attitude and the height of the exposure.
 
+    ``turn`` is its `_PixelTurn`, ``motion`` the `_Motion` of the ray, ``station`` the `Station`.
     ``by_window`` [px] is the coordinate's derivative by N_c - N_cc at the window.
     """
-    # A tilt turns the nadir and leaves the measured ray where it is in the camera, so only R
-    # changes, without the 1 of 1 - dR/dzeta. A nadir that turns towards the ray lessens zeta, and R
-    # by dR/dzeta; one that turns across swings the turn of the ray by R / sin(zeta).
+    # A tilt turns the nadir but not the measured ray in the camera, so only R changes: by dR/dzeta,
+    # not by the 1 - dR/dzeta of a ray that turns. A turn of the nadir towards the ray lessens zeta,
+    # and R by dR/dzeta; a turn of the nadir across turns the ray across by R / sin(zeta).
     by_zeta = -motion.dr_dzeta * turn.along
     by_azimuth = motion.swing * turn.across
     by_nadir2 = by_zeta * by_zeta + by_azimuth * by_azimuth
@@ -277,24 +292,24 @@ def _station_sigma(turn, by_window, motion, station):  # type: ignore[no-untyped
     variance_of_turns += station.yaw_excess_variance * (by_yaw * by_yaw)
     # The height changes R and, at the window, N_c - N_cc.
     by_height = turn.along * motion.d_h_c + by_window * station.window_gradient
-    by_height = by_height * station.sigma_height
-    return math.sqrt(variance_of_turns + by_height * by_height)
+    sigma_by_height = by_height * station.sigma_height
+    return math.sqrt(variance_of_turns + sigma_by_height * sigma_by_height)
 
 
 @jit
 def _pixel_sigmas(turn, motion, air, station):  # type: ignore[no-untyped-def]
-    """The `_PixelSigmas` of one coordinate, with ``turn`` its `_PixelTurn`.
+    """The `_PixelSigmas` of one coordinate of a pixel; ``turn`` is the `_PixelTurn` of that.
 
-    ``motion`` is a `_Motion`, ``air`` an `_AirOfRay`.
+    ``motion`` is the `_Motion` of its ray, ``air`` the `_AirOfRay`, ``station`` the `Station`.
     """
     by_window = turn.along * motion.window.along + turn.across * motion.window.across
     by_air = abs(turn.along) * air.sigma_r
     if station.window_kind >= 0:
         # A window with a vertical normal would turn the ray by tan(zeta) (1 - dR/dzeta) along: that
-        # is in air_x. What this window does beside it, because it leans, is by air_y.
+        # is in air_x. The rest of what this window does, because it leans, is by air_y.
         by_level_window = turn.along * (motion.tan_z * (1.0 - motion.dr_dzeta))
-        leaning = by_window - by_level_window
-        by_air = _air_sigma(turn, leaning, motion, air)
+        by_air_y = by_window - by_level_window
+        by_air = _air_sigma(turn, by_air_y, motion, air)
     return _PixelSigmas(
         air=by_air,
         station=_station_sigma(turn, by_window, motion, station),
@@ -309,9 +324,9 @@ def _cabin_sigma(by_window, lever, station):  # type: ignore[no-untyped-def]
 
     N in the cabin, N_cc, turns the ray at the window: ``by_window`` [px] is the derivative by
     N_c - N_cc there. The cabin's air is also between the elements of the lens, and changes the
-    principal distance: ``lever`` is the distorted image coordinate, by which the pixel moves with
-    that. The derivatives by N_cc and by the principal distance are -``by_window`` and -``lever``;
-    the common sign changes no sigma.
+    principal distance: per pixel of that change the coordinate moves by ``lever``, the distorted
+    image coordinate. The derivatives by N_cc and by the principal distance are -``by_window`` and
+    -``lever``; the common sign changes no sigma.
     """
     by_pressure = by_window * station.cabin_by_pressure + lever * station.lens_by_pressure
     by_temperature = by_window * station.cabin_by_temperature + lever * station.lens_by_temperature
@@ -320,118 +335,119 @@ def _cabin_sigma(by_window, lever, station):  # type: ignore[no-untyped-def]
 
 @jit
 def _sigma_n_cabin(station):  # type: ignore[no-untyped-def]
-    """Sigma of N in the cabin."""
+    """Sigma of N in the cabin of a `Station`, by the errors of its pressure and temperature."""
     by_pressure = station.cabin_by_pressure
     by_temperature = station.cabin_by_temperature
     return math.sqrt(by_pressure * by_pressure + by_temperature * by_temperature)
 
 
 @within
-def _fill_sigmas(room, count, camera, station):  # type: ignore[no-untyped-def]
-    """Fill the results of ``count`` observations of one `Station`.
+def _fill_sigmas(work, count, camera, station):  # type: ignore[no-untyped-def]
+    """Fill the rows `SIGMA_R_C` to `DY_DNCC` of ``work`` for ``count`` observations of a `Station`.
 
-    A loop without a branch over the rows of ``room`` runs four observations at a time. Without a
+    A loop without a branch over the rows of ``work`` runs four observations at a time. Without a
     plane window sigma of R_cc is 0, and the derivatives by N_cc are NaN.
     """
     one_if_window = 1.0 if station.window_kind >= 0 else math.nan
     sigma_n_cabin = _sigma_n_cabin(station)
     for i in range(count):
         # The ray, and what the errors do to it.
-        secant = 1.0 / room[NADIR_COSINE, i]
+        secant = 1.0 / work[NADIR_COSINE, i]
         ray = BentRay(
-            sin_z=room[NADIR_SINE, i],
-            cos_z=room[NADIR_COSINE, i],
-            radius=room[SPHERE_RADIUS, i],
-            h_c=room[CAMERA_HEIGHT, i],
-            drop=room[DROP, i],
-            angle=room[R_C, i],
-            dr_dzeta=room[SLOPE_BY_SECANT2, i] * secant * secant,
+            sin_z=work[NADIR_SINE, i],
+            cos_z=work[NADIR_COSINE, i],
+            radius=work[SPHERE_RADIUS, i],
+            h_c=work[CAMERA_HEIGHT, i],
+            drop=work[DROP, i],
+            angle=work[R_C, i],
+            dr_dzeta=work[SLOPE_BY_SECANT2, i] * secant * secant,
         )
-        azimuth = _azimuth(room[DIRECTION, i], room[DIRECTION + 1, i], ray.sin_z)
-        in_camera = _camera_ray(room[IDEAL_U, i], room[IDEAL_V, i], azimuth, ray, station.rotation)
-        window = _window_turns(in_camera, ray.dr_dzeta, station)
-        motion = _motion(ray, azimuth, window, room[N_GROUND, i], station)
+        azimuth = _azimuth(work[DIRECTION, i], work[DIRECTION + 1, i], ray.sin_z)
+        camera_ray = _camera_ray(work[IDEAL_U, i], work[IDEAL_V, i], azimuth, ray, station.rotation)
+        window = _window_turns(camera_ray, ray.dr_dzeta, station)
+        motion = _motion(ray, azimuth, window, work[N_GROUND, i], station)
         air = _AirOfRay(
-            sigma_r=room[SIGMA_BY_TANGENT, i] * ray.sin_z * secant,
-            sigma_air_x=room[SIGMA_AIR_X, i],
-            shared=room[SHARED_AIR_XY, i],
+            sigma_r=work[SIGMA_BY_TANGENT, i] * ray.sin_z * secant,
+            sigma_air_x=work[SIGMA_AIR_X, i],
+            shared_air_xy=work[SHARED_AIR_XY, i],
             sigma_air_y=station.sigma_air_y,
         )
 
-        # What that does to its pixel.
-        d_image = (room[SLOPE_UU, i], room[SLOPE_UV, i], room[SLOPE_VV, i])
-        turn_x, turn_y = _pixel_turns(in_camera, camera, d_image)
+        # What the errors do to its pixel.
+        d_image = (work[SLOPE_UU, i], work[SLOPE_UV, i], work[SLOPE_VV, i])
+        turn_x, turn_y = _pixel_turns(camera_ray, camera, d_image)
         in_x = _pixel_sigmas(turn_x, motion, air, station)
         in_y = _pixel_sigmas(turn_y, motion, air, station)
-        x_lever = (room[X_PX, i] - camera.cx) / camera.fx
-        y_lever = (room[Y_PX, i] - camera.cy) / camera.fy
+        x_lever = (work[X_PX, i] - camera.cx) / camera.fx
+        y_lever = (work[Y_PX, i] - camera.cy) / camera.fy
         # s, the parameter of the leading mode of the air's errors, changes R and, at the window,
         # N_c - N_cc by mode_air_y.
-        r_by_mode = room[MODE_BY_TANGENT, i] * motion.tan_z
+        r_by_mode = work[MODE_BY_TANGENT, i] * motion.tan_z
 
         # All results are unknown where the ray is not known, or beyond the tables.
-        one_if_known = math.nan if math.isnan(ray.dr_dzeta) else room[ONE_IF_KNOWN, i]
-        room[SIGMA_R_C, i] = air.sigma_r * one_if_known
-        room[AIR_DX, i] = in_x.air * one_if_known
-        room[AIR_DY, i] = in_y.air * one_if_known
-        room[STATION_DX, i] = in_x.station * one_if_known
-        room[STATION_DY, i] = in_y.station * one_if_known
-        room[GROUND_DX, i] = abs(in_x.by_ground) * room[SIGMA_H_G, i] * one_if_known
-        room[GROUND_DY, i] = abs(in_y.by_ground) * room[SIGMA_H_G, i] * one_if_known
-        room[SIGMA_R_CC, i] = window.tangent * sigma_n_cabin * one_if_known
-        room[CABIN_DX, i] = _cabin_sigma(in_x.by_window, x_lever, station) * one_if_known
-        room[CABIN_DY, i] = _cabin_sigma(in_y.by_window, y_lever, station) * one_if_known
+        one_if_known = math.nan if math.isnan(ray.dr_dzeta) else work[ONE_IF_KNOWN, i]
+        work[SIGMA_R_C, i] = air.sigma_r * one_if_known
+        work[AIR_DX, i] = in_x.air * one_if_known
+        work[AIR_DY, i] = in_y.air * one_if_known
+        work[STATION_DX, i] = in_x.station * one_if_known
+        work[STATION_DY, i] = in_y.station * one_if_known
+        work[GROUND_DX, i] = abs(in_x.by_ground) * work[SIGMA_H_G, i] * one_if_known
+        work[GROUND_DY, i] = abs(in_y.by_ground) * work[SIGMA_H_G, i] * one_if_known
+        work[SIGMA_R_CC, i] = window.tangent * sigma_n_cabin * one_if_known
+        work[CABIN_DX, i] = _cabin_sigma(in_x.by_window, x_lever, station) * one_if_known
+        work[CABIN_DY, i] = _cabin_sigma(in_y.by_window, y_lever, station) * one_if_known
         dx_ds = turn_x.along * r_by_mode + in_x.by_window * station.mode_air_y
         dy_ds = turn_y.along * r_by_mode + in_y.by_window * station.mode_air_y
-        room[DX_DS, i] = dx_ds * one_if_known
-        room[DY_DS, i] = dy_ds * one_if_known
-        room[DX_DNCC, i] = -in_x.by_window * one_if_window * one_if_known
-        room[DY_DNCC, i] = -in_y.by_window * one_if_window * one_if_known
+        work[DX_DS, i] = dx_ds * one_if_known
+        work[DY_DS, i] = dy_ds * one_if_known
+        work[DX_DNCC, i] = -in_x.by_window * one_if_window * one_if_known
+        work[DY_DNCC, i] = -in_y.by_window * one_if_window * one_if_known
 
 
 @within
-def _copy_to_room(room, rows, observed, camera, traced):  # type: ignore[no-untyped-def]
-    """Fill rays, observations and derivatives of the distortion of ``rows`` (first, count).
+def _copy_to_work(work, first, count, observed, camera, traced):  # type: ignore[no-untyped-def]
+    """Fill ``work`` with the rays and observations ``first`` to ``first`` + ``count`` - 1.
 
-    A ray to the far crossing of its target's height has no known sigmas.
+    Also with the derivatives of the distortion, and with `ONE_IF_KNOWN`: NaN for a ray without an
+    angle, and for a ray to the far crossing of its target's height, which has no known sigmas.
     """
-    first, count = rows
     rays = traced.rays
     angle = traced.angle
     for k in _COPIED_ROWS:
         for i in range(count):
-            room[k, i] = rays[k, first + i]
+            work[k, i] = rays[k, first + i]
     for i in range(count):
         j = first + i
-        room[X_PX, i] = observed.x[j]
-        room[Y_PX, i] = observed.y[j]
-        room[R_C, i] = angle[j]
-        room[H_G, i] = observed.h_g[j]
-        room[SIGMA_H_G, i] = observed.sigma_h_g[j]
+        work[X_PX, i] = observed.x[j]
+        work[Y_PX, i] = observed.y[j]
+        work[R_C, i] = angle[j]
+        work[H_G, i] = observed.h_g[j]
+        work[SIGMA_H_G, i] = observed.sigma_h_g[j]
         is_far = traced.status[j] == FAR_BRANCH
-        room[ONE_IF_KNOWN, i] = math.nan if math.isnan(angle[j]) or is_far else 1.0
+        work[ONE_IF_KNOWN, i] = math.nan if math.isnan(angle[j]) or is_far else 1.0
         uu, uv, vv = slopes(rays[IDEAL_U, j], rays[IDEAL_V, j], camera.distortion)
-        room[SLOPE_UU, i] = uu
-        room[SLOPE_UV, i] = uv
-        room[SLOPE_VV, i] = vv
+        work[SLOPE_UU, i] = uu
+        work[SLOPE_UV, i] = uv
+        work[SLOPE_VV, i] = vv
 
 
 @entry
 def fill_sigma_columns(observed, pose, traced, air, sigmas):  # type: ignore[no-untyped-def]
-    """Fill the columns of `Sigmas` of `ObservationColumns` and their `TracedColumns`.
+    """Fill ``sigmas``, the columns of `Sigmas`, from observations and their rays; NaN if unknown.
 
-    ``pose`` are the `CameraConstants` and the rotations (s, 3, 3) of exposures, ``air`` the matrix
-    of stations (s, `STATION_COLUMNS`) and the `AirTables`. NaN where nothing is known.
+    ``observed`` are `ObservationColumns`, ``traced`` their `TracedColumns`. ``pose`` are two
+    values, the `CameraConstants` and the rotations (s, 3, 3) of exposures; ``air`` are two values,
+    the matrix of stations (s, `STATION_COLUMNS`) and the `AirTables`.
 
-    Rows of one exposure that follow each other are taken together, up to `COLUMNS_TOGETHER`: copied
-    into a small matrix, ``room``, worked on there, and copied back.
+    Consecutive rows of one exposure, up to `COLUMNS_TOGETHER`, are copied into ``work``, a small
+    matrix, computed there, and copied back.
     """
     exposure = observed.exposure
     camera, rotation = pose
     stations, tables = air
     sigma_r_c = sigmas[0]  # in double precision, the others in single
-    station_sigmas = sigmas[1:]
-    room = np.empty((ALL_ROWS, COLUMNS_TOGETHER))
+    single_columns = sigmas[1:]
+    work = np.empty((ALL_ROWS, COLUMNS_TOGETHER))
     end = 0
     while end < exposure.size:
         first = end
@@ -442,16 +458,16 @@ def fill_sigma_columns(observed, pose, traced, air, sigmas):  # type: ignore[no-
         if not 0 <= e < stations.shape[0]:
             for k in range(RESULTS):
                 for i in range(count):
-                    room[FIRST_RESULT + k, i] = math.nan
+                    work[FIRST_RESULT + k, i] = math.nan
         else:
-            _copy_to_room(room, (first, count), observed, camera, traced)
+            _copy_to_work(work, first, count, observed=observed, camera=camera, traced=traced)
             station = station_at(stations[e], rotation[e], tables)
-            fill_positions(room, count, tables)
-            interpolate(room, count, tables, station)
-            _fill_sigmas(room, count, camera, station)
+            fill_positions(work, count, tables)
+            interpolate_air(work, count, tables, station)
+            _fill_sigmas(work, count, camera, station)
         for i in range(count):
-            sigma_r_c[first + i] = room[FIRST_RESULT, i]
+            sigma_r_c[first + i] = work[FIRST_RESULT, i]
         for k in range(RESULTS - 1):
-            column = station_sigmas[k]
+            column = single_columns[k]
             for i in range(count):
-                column[first + i] = room[FIRST_RESULT + 1 + k, i]
+                column[first + i] = work[FIRST_RESULT + 1 + k, i]

@@ -37,7 +37,7 @@ class _Chord(NamedTuple):
     r_g: float  # distance of the target from there [m]
     sin_r: float  # sine of R
     sin_chord: float  # sine of zeta - R, the chord's nadir angle at the camera
-    down: float  # r_g cos(beta) [m]
+    down: float  # r_g cos(beta) [m], beta its angle to the vertical of the target
     length: float  # [m]
 
 
@@ -58,11 +58,14 @@ def _chord_of(ray):  # type: ignore[no-untyped-def]
 
 @jit
 def _by_target_height(ray, chord, big_n_c, big_n_g):  # type: ignore[no-untyped-def]
-    """dR/dh_g [rad/m]. ``big_n_c`` and ``big_n_g`` are N at the camera and at the target."""
+    """dR/dh_g [rad/m] of a `BentRay` and its `_Chord`, by the equations of the module.
+
+    ``big_n_c`` and ``big_n_g`` are N at the camera and at the target.
+    """
     # r_c (sin(zeta) - sin(zeta - R)), without a difference of near numbers.
-    turned = chord.r_c * chord.sin_r * (ray.cos_z + 0.5 * ray.angle * ray.sin_z)
+    sine_change = chord.r_c * chord.sin_r * (ray.cos_z + 0.5 * ray.angle * ray.sin_z)
     sine_difference = (
-        chord.r_c * ray.sin_z * (big_n_g - big_n_c) / (1.0 + big_n_g) - turned
+        chord.r_c * ray.sin_z * (big_n_g - big_n_c) / (1.0 + big_n_g) - sine_change
     ) / chord.r_g
     sin_g = chord.r_c * chord.sin_chord / chord.r_g - sine_difference  # of z_g
     cos_g = math.sqrt(1.0 - sin_g * sin_g)
@@ -71,8 +74,11 @@ def _by_target_height(ray, chord, big_n_c, big_n_g):  # type: ignore[no-untyped-
 
 
 @jit
-def by_heights(ray, big_n_g, station):  # type: ignore[no-untyped-def]
-    """dR/dh_c and dR/dh_g [rad/m] of a `BentRay` from a `Station`; ``n_g`` is N at the target."""
+def height_derivatives(ray, big_n_g, station):  # type: ignore[no-untyped-def]
+    """dR/dh_c and dR/dh_g [rad/m] of a `BentRay` from a `Station`; ``big_n_g`` is N at the target.
+
+    The equations are those of the module.
+    """
     chord = _chord_of(ray)
     tan_z = ray.sin_z / ray.cos_z
     gradient = station.relative_gradient  # N_c' / n_c

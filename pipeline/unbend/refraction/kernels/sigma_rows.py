@@ -15,7 +15,7 @@ Y_PX = RAY_ROWS + 1
 R_C = RAY_ROWS + 2  # refraction angle [rad]
 H_G = RAY_ROWS + 3  # height of the target [m]
 SIGMA_H_G = RAY_ROWS + 4  # sigma of that height [m]
-ONE_IF_KNOWN = RAY_ROWS + 5  # 1, or NaN where no sigma is known
+ONE_IF_KNOWN = RAY_ROWS + 5  # factor of all results: 1, or NaN where no sigma is known
 DROP = RAY_ROWS + 6  # height of the camera above the target [m]
 SLOPE_UU = RAY_ROWS + 7  # derivatives of the distortion: du_d/du,
 SLOPE_UV = RAY_ROWS + 8  # du_d/dv = dv_d/du,
@@ -31,7 +31,7 @@ GROUND_POSITION = RAY_ROWS + 13  # on that of heights of ``refractivity``
 SIGMA_BY_TANGENT = RAY_ROWS + 14  # sigma of R_c / tan(zeta) [rad]
 SLOPE_BY_SECANT2 = RAY_ROWS + 15  # dR/dzeta cos^2(zeta)
 MODE_BY_TANGENT = RAY_ROWS + 16  # dR/ds / tan(zeta), s the parameter of the leading mode
-SIGMA_AIR_X = RAY_ROWS + 17  # sigma of x of `uncertainty.sigmas`, which is no coordinate of pixels
+SIGMA_AIR_X = RAY_ROWS + 17  # sigma of x of `uncertainty.sigmas`, not a coordinate of pixels
 SHARED_AIR_XY = RAY_ROWS + 18  # covariance of that x with y, over sigma of y
 N_GROUND = RAY_ROWS + 19  # N at the target
 

@@ -51,7 +51,7 @@ class Station(NamedTuple):
 
 @jit
 def _vector(array):  # type: ignore[no-untyped-def]
-    """The numbers of an array (3,)."""
+    """The three numbers of an array (3,) as a tuple."""
     return (array[0], array[1], array[2])
 
 

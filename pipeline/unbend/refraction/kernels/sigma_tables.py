@@ -37,18 +37,19 @@ class TablePlace(NamedTuple):
 
 
 class _OnSphere(NamedTuple):
-    """What the sphere does to values of the plane."""
+    """How values on the sphere follow from those in the plane."""
 
-    sigma_factor: float  # of sigma_R
-    angle_factor: float  # of dR/dzeta
-    mode: float  # that of the plane, and the sphere's summand
+    sigma_factor: float  # by which sigma_R of the plane is multiplied
+    angle_factor: float  # by which dR/dzeta of the plane is multiplied
+    mode: float  # what the mode changes in R / (tan(zeta) way), on the sphere
 
 
 @jit
 def _place_at(position, count):  # type: ignore[no-untyped-def]
-    """The `TablePlace` at a position, in nodes, on an axis of ``count`` nodes.
+    """The `TablePlace` at a position on an axis of ``count`` nodes.
 
-    A position beyond the axis gets the place at its end.
+    The position is a number of nodes from the first, with a fraction; beyond the axis it gets the
+    place at the axis' end.
     """
     inside = min(max(position, 0.0), count - 1.0)
     node = min(int(inside), count - 2)
@@ -57,7 +58,7 @@ def _place_at(position, count):  # type: ignore[no-untyped-def]
 
 @jit
 def linear(table, place):  # type: ignore[no-untyped-def]
-    """The value of a table (n,) at a `TablePlace`."""
+    """The value of a table (n,) at a `TablePlace`, linear between two nodes."""
     i = place.node
     return table[i] + place.share * (table[i + 1] - table[i])
 
@@ -75,10 +76,11 @@ def _bilinear(table, row_place, column_place):  # type: ignore[no-untyped-def]
 
 @jit
 def _on_sphere(factors, height, way, incidence, mode_in_plane):  # type: ignore[no-untyped-def]
-    """The `_OnSphere` between the eight nodes around three `TablePlace`.
+    """The `_OnSphere` at three `TablePlace`, linear between the eight nodes around them.
 
-    ``factors`` are those of `AirTables`. The three bits of a corner's number say on which axes it
-    lies at the next node.
+    ``factors`` (f, j, k, 3) are those of `AirTables`; ``height``, ``way`` and ``incidence`` the
+    places on its axes. The three bits of a corner's number state on which axes the corner is at the
+    next node.
     """
     sigma_factor = 0.0
     angle_factor = 0.0
@@ -101,11 +103,12 @@ def _on_sphere(factors, height, way, incidence, mode_in_plane):  # type: ignore[
 
 
 @within
-def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
-    """Fill where ``count`` rays are in the tables ``air``, their `DROP`, and `ONE_IF_KNOWN`.
+def fill_positions(work, count, air):  # type: ignore[no-untyped-def]
+    """Fill the positions of ``count`` rays on the axes of ``air``, the `AirTables`, into ``work``.
 
-    The tables do not serve a ray to a target at or above the camera, nor a ray that is nearly level
-    at the target: its `ONE_IF_KNOWN` becomes NaN, and its positions are 0, which any table has.
+    That is the matrix of `sigma_rows`. Also filled are `DROP` and `ONE_IF_KNOWN`. The tables do not
+    serve a ray to a target at or above the camera, nor a ray that is nearly level at the target:
+    its `ONE_IF_KNOWN` becomes NaN, and its positions are 0, which any table has.
 
     The conditions are joined by &, which evaluates all of them, because branches are slower.
     """
@@ -117,32 +120,33 @@ def fill_positions(room, count, air):  # type: ignore[no-untyped-def]
     ground_m = air.ground_m
     spacing_m = air.spacing_m
     for i in range(count):
-        h_c = room[CAMERA_HEIGHT, i]
-        cos_z = room[NADIR_COSINE, i]
-        r_c = room[SPHERE_RADIUS, i] + h_c
-        drop = h_c - room[H_G, i]
-        r_g = room[SPHERE_RADIUS, i] + h_c - drop
+        h_c = work[CAMERA_HEIGHT, i]
+        cos_z = work[NADIR_COSINE, i]
+        r_c = work[SPHERE_RADIUS, i] + h_c
+        drop = h_c - work[H_G, i]
+        r_g = work[SPHERE_RADIUS, i] + h_c - drop
         # cos^2 of the straight ray's nadir angle at the target.
         cos2_g = (r_c * r_c * cos_z * cos_z - drop * (r_c + r_g)) / (r_g * r_g)
         beyond_first_way = math.sqrt(drop) - way_first
         # In nodes of the axis of 1 / sqrt(cos z_g), which begins at 1.
         incidence = (1.0 / math.sqrt(math.sqrt(cos2_g)) - 1.0) / incidence_step
-        is_served = (room[ONE_IF_KNOWN, i] == 1.0) & (drop > 0.0) & (cos_z > 0.0) & (cos2_g > 0.0)
+        is_served = (work[ONE_IF_KNOWN, i] == 1.0) & (drop > 0.0) & (cos_z > 0.0) & (cos2_g > 0.0)
         is_served &= incidence <= last_incidence
-        room[DROP, i] = drop
-        room[ONE_IF_KNOWN, i] = 1.0 if is_served else math.nan
-        room[WAY_POSITION, i] = beyond_first_way / way_step if is_served else 0.0
-        room[COARSE_POSITION, i] = beyond_first_way / coarse_step if is_served else 0.0
-        room[INCIDENCE_POSITION, i] = incidence if is_served else 0.0
-        room[GROUND_POSITION, i] = (room[H_G, i] - ground_m) / spacing_m if is_served else 0.0
+        work[DROP, i] = drop
+        work[ONE_IF_KNOWN, i] = 1.0 if is_served else math.nan
+        work[WAY_POSITION, i] = beyond_first_way / way_step if is_served else 0.0
+        work[COARSE_POSITION, i] = beyond_first_way / coarse_step if is_served else 0.0
+        work[INCIDENCE_POSITION, i] = incidence if is_served else 0.0
+        work[GROUND_POSITION, i] = (work[H_G, i] - ground_m) / spacing_m if is_served else 0.0
 
 
 @jit
-def interpolate(room, count, air, station):  # type: ignore[no-untyped-def]
+def interpolate_air(work, count, air, station):  # type: ignore[no-untyped-def]
     """Fill `SIGMA_BY_TANGENT` to `N_GROUND` of ``count`` rays from their positions in the tables.
 
-    ``air`` are the `AirTables`, ``station`` is the `Station` of the rays' exposure. NaN in, NaN
-    out. `SIGMA_AIR_X` and `SHARED_AIR_XY` are zero without a plane window.
+    ``work`` is the matrix of `sigma_rows`, ``air`` are the `AirTables`, ``station`` is the
+    `Station` of the rays' exposure. A ray with a NaN gets NaN. `SIGMA_AIR_X` and `SHARED_AIR_XY`
+    are zero without a plane window.
     """
     sigma = air.sigma
     factors = air.factors
@@ -152,23 +156,23 @@ def interpolate(room, count, air, station):  # type: ignore[no-untyped-def]
     height_nodes = factors.shape[0]
     height = _place_at(station.height_share * (height_nodes - 1), height_nodes)
     for i in range(count):
-        drop = room[DROP, i]
+        drop = work[DROP, i]
         # In the plane: by the heights of the camera and the ways to the target.
-        way = _place_at(room[WAY_POSITION, i], sigma.shape[1])
+        way = _place_at(work[WAY_POSITION, i], sigma.shape[1])
         sigma_in_plane = _bilinear(sigma, camera, way)
         angle_in_plane = _bilinear(air.angle, camera, way)
         mode_in_plane = _bilinear(air.mode, camera, way)
-        room[SIGMA_AIR_X, i] = 0.0
-        room[SHARED_AIR_XY, i] = 0.0
+        work[SIGMA_AIR_X, i] = 0.0
+        work[SHARED_AIR_XY, i] = 0.0
         if window_kind >= 0:
-            room[SIGMA_AIR_X, i] = _bilinear(air.behind[window_kind, 0], camera, way)
-            room[SHARED_AIR_XY, i] = _bilinear(air.behind[window_kind, 1], camera, way)
-        # On the sphere. The tables hold values over the way, which is `DROP`.
-        coarse_way = _place_at(room[COARSE_POSITION, i], factors.shape[1])
-        incidence = _place_at(room[INCIDENCE_POSITION, i], factors.shape[2])
+            work[SIGMA_AIR_X, i] = _bilinear(air.behind[window_kind, 0], camera, way)
+            work[SHARED_AIR_XY, i] = _bilinear(air.behind[window_kind, 1], camera, way)
+        # On the sphere. The tables contain values divided by the way, which is `DROP`.
+        coarse_way = _place_at(work[COARSE_POSITION, i], factors.shape[1])
+        incidence = _place_at(work[INCIDENCE_POSITION, i], factors.shape[2])
         sphere = _on_sphere(factors, height, coarse_way, incidence, mode_in_plane)
-        room[SIGMA_BY_TANGENT, i] = sigma_in_plane * sphere.sigma_factor * drop
-        room[SLOPE_BY_SECANT2, i] = angle_in_plane * sphere.angle_factor * drop
-        room[MODE_BY_TANGENT, i] = sphere.mode * drop / air.mode_sigma
-        ground = _place_at(room[GROUND_POSITION, i], refractivity.size)
-        room[N_GROUND, i] = linear(refractivity, ground)
+        work[SIGMA_BY_TANGENT, i] = sigma_in_plane * sphere.sigma_factor * drop
+        work[SLOPE_BY_SECANT2, i] = angle_in_plane * sphere.angle_factor * drop
+        work[MODE_BY_TANGENT, i] = sphere.mode * drop / air.mode_sigma
+        ground = _place_at(work[GROUND_POSITION, i], refractivity.size)
+        work[N_GROUND, i] = linear(refractivity, ground)

@@ -1,4 +1,4 @@
-"""What a ray has about it over a terrain: a tile, a block of a tile or a cell, compiled."""
+"""The part of a terrain about a ray: a tile, a block of a tile or a cell, compiled."""
 
 import math
 from typing import NamedTuple
@@ -8,11 +8,11 @@ import numpy as np
 from unbend.refraction.kernels.columns import BLOCK, TILE
 from unbend.refraction.kernels.jit import jit
 
-# So near above or below the nodes of a tile a ray goes on by its blocks, and so near above those of
-# a block by its cells. A step down to the highest node may end above it: without these margins tiny
-# steps would follow each other.
-_ABOUT_TILE_M = 5.0
-_ABOUT_BLOCK_M = 0.01
+# Within this margin above or below the nodes of a tile a ray is followed block by block, and within
+# the second above those of a block cell by cell. A step down to the highest node may end above it:
+# without these margins many tiny steps would follow.
+_TILE_MARGIN_M = 5.0
+_BLOCK_MARGIN_M = 0.01
 
 # In the place of a slot: the nodes of a tile are not needed, or not in memory.
 _NOT_NEEDED = -1
@@ -20,7 +20,7 @@ TO_BE_READ = -2
 
 
 class Edges(NamedTuple):
-    """Rows and columns of the grid between which a box or a cell lies."""
+    """Rows and columns of the grid that bound a box or a cell."""
 
     top: float
     bottom: float
@@ -31,7 +31,7 @@ class Edges(NamedTuple):
 class Box(NamedTuple):
     """The tile about a place, or a block of the tile where its nodes are needed."""
 
-    tile: int  # number of the tile, -1 beside the grid
+    tile: int  # number of the tile, -1 outside the grid
     slot: int  # of the tile in memory, or `_NOT_NEEDED`, `TO_BE_READ`
     cell: tuple[int, int]  # row and column of the place's cell in the tile
     low: float  # lowest node [m]; infinite where all are unknown
@@ -40,19 +40,23 @@ class Box(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """What a ray has about it: a box that it is above or below, or else one cell of that box."""
+    """The part of a terrain about a ray: a box that the ray is above or below, or else one cell."""
 
     box: Box
     edges: Edges  # of the box, or of the cell
     is_over: bool  # the ray is above all nodes of the box
     is_under: bool  # the ray is below all nodes; both where all nodes are unknown
-    is_near: bool  # neither: the corners of the cell are looked at
+    is_near: bool  # neither: the four nodes of the cell decide
 
 
 @jit
 def _tile_at(grid, row, column):  # type: ignore[no-untyped-def]
-    """The `Box` of the whole tile about a place, with the slot `_NOT_NEEDED`."""
-    # Where columns go round the earth the place may lie whole rounds beside the grid's columns.
+    """The `Box` of the whole tile about a place, with the slot `_NOT_NEEDED`.
+
+    ``row`` and ``column`` are those of the place in the grid, with fractions. Outside the grid the
+    number of the tile is -1, and its nodes are unknown.
+    """
+    # Where columns go round the earth the place may be whole rounds outside the grid's columns.
     columns_of_rounds = 0
     if grid.around > 0:
         columns_of_rounds = math.floor(column / grid.around) * grid.around
@@ -90,12 +94,12 @@ def _tile_at(grid, row, column):  # type: ignore[no-untyped-def]
 
 @jit
 def _block_of(grid, tile_box, slot):  # type: ignore[no-untyped-def]
-    """The `Box` of the block that holds the cell of a tile's `Box`; the nodes are in ``slot``."""
+    """The `Box` of the block that contains the cell of ``tile_box``; its nodes are in ``slot``."""
     k = tile_box.cell[0] // BLOCK
     m = tile_box.cell[1] // BLOCK
     top = tile_box.edges.top + k * BLOCK
     left = tile_box.edges.left + m * BLOCK
-    # Only the columns of a tile can be no multiple of BLOCK: at the end of a round (`_tile_at`).
+    # Only columns of a tile may not be a multiple of BLOCK: the last tile of a round (`_tile_at`).
     right = min(left + BLOCK, tile_box.edges.right)
     return Box(
         tile=tile_box.tile,
@@ -111,13 +115,14 @@ def _block_of(grid, tile_box, slot):  # type: ignore[no-untyped-def]
 def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
     """The `Box` of the tile about a place, or of a block of it where the tile's nodes are needed.
 
-    The nodes are needed where the height is between the lowest and the highest of the tile, or
-    these are not known yet. The slot is `TO_BE_READ` where the nodes are not in memory.
+    The nodes are needed where ``height`` [m] is between the lowest and the highest of the tile, or
+    these are not known yet. If they are not in memory, the box is the tile, with the slot
+    `TO_BE_READ`.
     """
     box = _tile_at(grid, row, column)
     if box.tile < 0:
         return box
-    is_between = box.low - _ABOUT_TILE_M <= height <= box.high + _ABOUT_TILE_M
+    is_between = box.low - _TILE_MARGIN_M <= height <= box.high + _TILE_MARGIN_M
     if not (math.isnan(box.low) or is_between):
         return box
     columns = grid.slot.shape[1]
@@ -135,19 +140,20 @@ def _box_at(grid, row, column, height):  # type: ignore[no-untyped-def]
 
 
 @jit
-def surroundings_at(grid, at):  # type: ignore[no-untyped-def]
-    """The `Surroundings` of the `RayPlace` ``at``.
+def surroundings_at(grid, place):  # type: ignore[no-untyped-def]
+    """The `Surroundings` of a `RayPlace` on a `TerrainGrid`.
 
-    A box whose nodes are all unknown has infinite ones: the ray is over it and under it.
+    A box with unknown nodes only has a lowest node of plus infinity and a highest of minus
+    infinity: the ray is over it and under it.
     """
-    box = _box_at(grid, at.row, at.column, at.height)
+    box = _box_at(grid, place.row, place.column, place.height)
     edges = box.edges
-    is_over = at.height > box.high + _ABOUT_BLOCK_M
-    is_under = at.height < box.low
+    is_over = place.height > box.high + _BLOCK_MARGIN_M
+    is_under = place.height < box.low
     is_near = not (is_over or is_under)
     if is_near:
-        # The cell.
-        top = float(math.floor(at.row))
-        left = float(math.floor(at.column))
+        # Those of the cell.
+        top = float(math.floor(place.row))
+        left = float(math.floor(place.column))
         edges = Edges(top, top + 1.0, left, left + 1.0)
     return Surroundings(box, edges, is_over, is_under, is_near)

@@ -1,6 +1,6 @@
 """The ways of curved rays over the grid of a terrain, compiled.
 
-The point of a ray at the straight distance t from the camera lies at the nadir angle
+The point of a ray at the straight distance t from the camera is seen from there at the nadir angle
 zeta_c - R_c(t). R_c / t is Newton's polynomial through some knots. Row and column of the grid are
 polynomials in the arc along the sphere from the camera.
 """
@@ -41,7 +41,7 @@ class RayPlace(NamedTuple):
 
 
 class Velocity(NamedTuple):
-    """Changes per metre of the way."""
+    """Changes of row, column and height of a ray per metre of its way."""
 
     row: float  # of the row of the grid
     column: float
@@ -50,7 +50,7 @@ class Velocity(NamedTuple):
 
 @jit
 def _angle_at(path, t):  # type: ignore[no-untyped-def]
-    """R_c [rad] at the straight distance t [m], and t dR_c/dt."""
+    """R_c [rad] of the point at the straight distance t [m] on a `Path`, and t dR_c/dt [rad]."""
     knot = path.knot
     bend = path.bend
     # Newton's polynomial for R_c / t, and its derivative.
@@ -64,8 +64,8 @@ def _angle_at(path, t):  # type: ignore[no-untyped-def]
 
 @jit
 def place_at(path, t):  # type: ignore[no-untyped-def]
-    """The `RayPlace` of a ray at the straight distance t [m] from the camera."""
-    angle, turned = _angle_at(path, t)
+    """The `RayPlace` on a `Path` at the straight distance t [m] from the camera."""
+    angle, turn = _angle_at(path, t)
     # The direction of the straight line there, at the nadir angle zeta_c - R_c. R_c is below 0.01.
     cos_angle = 1.0 - 0.5 * angle * angle
     sine = path.sin_c * cos_angle - path.cos_c * angle
@@ -75,7 +75,7 @@ def place_at(path, t):  # type: ignore[no-untyped-def]
     down = path.r_c - t * cosine
     r = math.sqrt(across * across + down * down)
     height = path.h_c - t * cosine + across * across / (r + down)
-    tangent = across / down  # of the angle at the earth's centre, whose arctangent is a series
+    tangent = across / down  # of the angle at the earth's centre, which follows by a series
     square = tangent * tangent
     arc = path.r_e * tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
     row = path.row[-1]
@@ -89,37 +89,39 @@ def place_at(path, t):  # type: ignore[no-untyped-def]
         column=column,
         height=height,
         arc=arc,
-        sine=sine - cosine * turned,
-        cosine=cosine + sine * turned,
+        sine=sine - cosine * turn,
+        cosine=cosine + sine * turn,
     )
 
 
 @jit
-def velocity_at(path, at):  # type: ignore[no-untyped-def]
-    """The `Velocity` of a ray at the `RayPlace` ``at``.
+def velocity_at(path, place):  # type: ignore[no-untyped-def]
+    """The `Velocity` of a ray at a `RayPlace` on its `Path`.
 
-    There the ray's own nadir angle is that at the camera and theta, the angle at the earth's
-    centre. Its sine and cosine are taken to first order in theta.
+    The ray's nadir angle at the place is the angle between its direction there and the camera's
+    nadir, plus theta, the angle at the earth's centre. Sine and cosine of that sum are taken to
+    first order in theta.
     """
-    arc = at.arc
+    arc = place.arc
     theta = arc / path.r_e
-    arc_per_metre = (at.sine + theta * at.cosine) / (1.0 + at.height / path.r_e)
+    arc_per_metre = (place.sine + theta * place.cosine) / (1.0 + place.height / path.r_e)
     row = 0.0
     column = 0.0
     for k in range(path.row.size - 1, 0, -1):
         row = row * arc + k * path.row[k]
         column = column * arc + k * path.column[k]
-    rise = theta * at.sine - at.cosine
+    rise = theta * place.sine - place.cosine
     return Velocity(row * arc_per_metre, column * arc_per_metre, rise)
 
 
 @jit
 def fill_path(rays, i, row, column, powers):  # type: ignore[no-untyped-def]
-    """Fill row and column of ray i as polynomials in the arc, from those of its chart.
+    """Fill ``row`` and ``column`` (`CHART_DEGREE` + 1,), polynomials of ray i in the arc.
 
-    The chart has polynomials in east and north of the station. Along the ray these are the arc
-    times the east and north part of its azimuth: all terms of one degree are one power of the arc.
-    ``powers`` (2, `CHART_DEGREE` + 1) is room for powers of east and of north; the first are 1.
+    They follow from the ray's chart, polynomials in east and north of its station. Along the ray
+    east and north are the arc times the components of its azimuth, so that all terms of one degree
+    make one power of the arc. ``powers`` (2, `CHART_DEGREE` + 1) is a work array for powers of east
+    and of north, with 1 in its first column.
     """
     easts = powers[0]
     norths = powers[1]
@@ -142,7 +144,10 @@ def fill_path(rays, i, row, column, powers):  # type: ignore[no-untyped-def]
 
 @entry
 def divide_differences(knot, value):  # type: ignore[no-untyped-def]
-    """Replace each row of ``value`` (n, k) by Newton's divided differences at ``knot`` (n, k)."""
+    """Replace each row of ``value`` (n, k), in place, by Newton's divided differences.
+
+    ``knot`` (n, k) are the places of the values.
+    """
     for i in range(knot.shape[0]):
         for order in range(1, knot.shape[1]):
             for k in range(knot.shape[1] - 1, order - 1, -1):

@@ -1,4 +1,4 @@
-"""Blocks of rows on all cores we may use.
+"""Blocks of rows on all cores that this process may use.
 
 Threads are enough for that: compiled functions run without the lock of Python.
 """
@@ -15,9 +15,9 @@ BLOCK_ROWS = 8_192
 
 
 def usable_cpus() -> int:
-    """How many CPUs this process may use: fewer than there are under taskset or a batch system.
+    """How many CPUs this process may use; taskset or a batch system may allow only some of them.
 
-    UNBEND_THREADS states another number: a process that runs beside others is given its share.
+    The environment variable UNBEND_THREADS replaces that number, for processes that share CPUs.
     """
     if (threads := os.environ.get("UNBEND_THREADS", "")).isdecimal():
         return max(1, int(threads))
@@ -28,7 +28,7 @@ def usable_cpus() -> int:
 
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
-    """One pool for the process."""
+    """The pool of threads of this process, made at the first call."""
     return ThreadPoolExecutor(usable_cpus(), thread_name_prefix="rays")
 
 
@@ -38,7 +38,10 @@ if hasattr(os, "register_at_fork"):  # Windows has no fork
 
 
 def in_blocks(function: Callable[[slice], None], rows: int) -> None:
-    """Call ``function`` with slices that cover all rows once, on several cores where it pays."""
+    """Call ``function`` with slices that together cover ``rows`` rows once.
+
+    More than one block of `BLOCK_ROWS` rows is spread over the cores.
+    """
     starts = range(0, rows, BLOCK_ROWS)
     blocks = [slice(start, min(start + BLOCK_ROWS, rows)) for start in starts]
     if len(blocks) <= 1:
@@ -46,11 +49,11 @@ def in_blocks(function: Callable[[slice], None], rows: int) -> None:
             function(block)
         return
     with held_back() as deliver_signals:
-        parts = [_pool().submit(function, block) for block in blocks]
+        futures = [_pool().submit(function, block) for block in blocks]
         try:
-            for part in parts:
-                part.result()
+            for future in futures:
+                future.result()
                 deliver_signals()
         finally:  # after an error or a signal the blocks that have not begun are left out
-            for part in parts:
-                part.cancel()
+            for future in futures:
+                future.cancel()

@@ -1,7 +1,8 @@
 """Snell's law at the plane of a window (Gyer 1996, Eq. 36), in vectors, compiled.
 
-A ray with the unit vector d meets the plane, whose unit normal m points to where the ray goes, at
-the angle of incidence a. With excess = n_in / n_out - 1 the unit vector behind the plane is
+A ray with the unit vector d meets the plane at the angle of incidence a. The unit normal m of the
+plane points to where the ray goes. With excess = n_in / n_out - 1 the unit vector behind
+the plane is
 
     d' = (1 + excess) t + m cos(a'),   t = d - m cos(a),   sin(a') = (1 + excess) sin(a),
 
@@ -27,15 +28,16 @@ def dot(a, b):  # type: ignore[no-untyped-def]
 
 @jit
 def _change_at_plane(cos_in, sin2_in, excess):  # type: ignore[no-untyped-def]
-    """cos(a') - cos(a) of the module's equations, and the squared length of d' - d.
+    """cos(a') - cos(a) at a plane between two media, and the squared length of d' - d.
 
-    ``cos_in`` and ``sin2_in`` are cos(a) and sin^2(a). Both results are NaN where the plane
-    reflects the ray wholly.
+    a and a' are the angles of the ray to the normal before and behind the plane, d and d' its unit
+    vectors there. ``cos_in`` and ``sin2_in`` are cos(a) and sin^2(a), ``excess`` is
+    n_in / n_out - 1. Both results are NaN where the plane reflects the ray wholly.
     """
     ratio = 1.0 + excess  # n_in / n_out
     cos_out = math.sqrt(1.0 - ratio * ratio * sin2_in)
     change_of_cosine = -excess * (2.0 + excess) * sin2_in / (cos_out + cos_in)
-    # excess t and m (cos(a') - cos(a)) are square to each other, and t is sin(a) long.
+    # d' - d = excess t + m (cos(a') - cos(a)): t, sin(a) long, is square to the unit normal m.
     length2 = excess * excess * sin2_in + change_of_cosine * change_of_cosine
     return change_of_cosine, length2
 
@@ -54,7 +56,7 @@ def refract_directions(direction, normal, excess, change, angle):  # type: ignor
         cos_in = dot(d, m)
         if not cos_in > 0.0:
             cos_in = math.nan
-        # The row of the result holds t, the direction's part along the plane, before the change.
+        # t, the direction's part along the plane, is computed in the row of the result.
         t = change[i]
         for k in range(3):
             t[k] = d[k] - cos_in * m[k]
@@ -71,11 +73,12 @@ def fill_window_change(rows, direction, normal, excess, along_normal, r_cc):  # 
     """Fill the change of direction at the window of one exposure, and the angle R_cc [rad].
 
     ``rows`` are the `ExposureRows`, ``direction`` (3, n) unit vectors of rays inside the window,
-    ``normal`` (3,) its unit normal, ``excess`` n_cabin / n_outside - 1. The change is
-    excess * direction + ``along_normal`` * normal.
+    ``normal`` (3,) its unit normal outwards, ``excess`` n_cabin / n_outside - 1. Filled are
+    ``along_normal`` (n,), from which the change follows as
+    excess * direction + ``along_normal`` * normal, and ``r_cc`` (n,), which has the sign of excess.
 
-    R_cc is 2 asin(length / 2) by its series, good below 0.01. ``along_normal`` and ``r_cc`` are NaN
-    for a ray that the window reflects wholly, or that does not lead out.
+    R_cc is 2 asin(length of the change / 2) by its series, good below 0.01. Both are NaN for a ray
+    that the window reflects wholly, or that does not lead out.
     """
     d_0 = direction[0]
     d_1 = direction[1]

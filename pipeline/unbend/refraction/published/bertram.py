@@ -1,10 +1,10 @@
 """Bertram 1966: a trapezoid sum over tabulated densities; and the Manual's fit to his table.
 
-Two things in the paper do not hold, whatever the digits: Eq. 9 is not the refraction of a raised
-ground point, because every height is counted from sea level, the lever arms too (`bertram1966`
-follows the paper, `bertram1966_from_ground` starts at the point); and the curved-earth term has the
-wrong sign and is a small part of what the curvature does (`bertram1966_curved`). "2.340 / Z" above
-80.5 km is 2,340 / Z urad with Z in km.
+Two things in the paper are wrong, with any number of digits. Eq. 9 is not the refraction of a
+raised ground point, because every height is counted from sea level, the lever arms too
+(`bertram1966` follows the paper, `bertram1966_from_ground` starts at the point). The curved-earth
+term has the wrong sign and is a small part of what the curvature does (`bertram1966_curved`).
+"2.340 / Z" above 80.5 km is 2,340 / Z urad with Z in km.
 """
 
 import numpy as np
@@ -18,11 +18,12 @@ INDEX_PER_DENSITY = 0.000226
 """(n - 1) / rho [m3 kg-1] (Eq. 7)."""
 
 LOWEST_M = -1000.0
+"""Lowest ground of `bertram1966` and `manual`, above sea level."""
 
 # Bertram's entries: every 1000 m from 500 m (Table 1), every 3000 m from 20,500 m (Table 2).
 NODES_M = np.r_[0.0, 500.0:20_501.0:1000.0, 23_500.0:80_501.0:3000.0]
 INTERVAL_M = np.concatenate([np.full(21, 1000.0), np.full(20, 3000.0)])
-"""Interval of the densities whose difference gives the gradient, for each step between nodes."""
+"""Height between the two densities that give the gradient, for each step between nodes [m]."""
 
 
 @at_45_degrees
@@ -53,7 +54,7 @@ def bertram1966(profile: Profile, h_c: Array, h_g: Array) -> Array:
 
 @at_45_degrees
 def bertram1966_from_ground(profile: Profile, h_c: Array, h_g: Array) -> Array:
-    """R_c [rad] by Eq. 6 of Bertram 1966 with the sum started at the ground, as it should be.
+    """R_c [rad] by Eq. 6 of Bertram 1966, corrected: the sum starts at the ground.
 
     Arguments as in `unbend.refraction.published`. Within 1.4 % of the spherical form at 45 degrees
     and up to 20 km, whatever the height of the ground.
@@ -104,10 +105,11 @@ def bertram1966_curved(
 
 
 def _moment(profile: Profile, origin: Array, rise: Array, curvature: bool = False) -> Array:
-    """Sum of -x drho/dz dz over heights x above ``origin`` up to ``rise`` [kg m-2].
+    """Sum of -x drho/dz dz over heights x above ``origin`` [m] from 0 to ``rise`` [m], in kg m-2.
 
-    The last, partial step ends at ``rise``, so that the sum is continuous in it and is Bertram's at
-    his entries. With ``curvature`` each term carries the factor (rise - x).
+    A trapezoid between the entries of `NODES_M`. The last, partial step ends at ``rise``, so that
+    the sum is continuous in ``rise`` and is Bertram's at his entries. With ``curvature`` each term
+    has the further factor (rise - x) [m].
     """
     total = np.zeros(origin.shape)
     has_heights = np.isfinite(origin) & np.isfinite(rise)
@@ -116,20 +118,20 @@ def _moment(profile: Profile, origin: Array, rise: Array, curvature: bool = Fals
         is_reached = rise > low
         if low == 0.0:
             is_reached |= rise < 0.0  # below the origin, one step of the same rule
-        rays = has_heights & is_reached
-        if not rays.any():
+        in_step = has_heights & is_reached
+        if not in_step.any():
             break
-        end = np.minimum(rise[rays], high)
+        end = np.minimum(rise[in_step], high)
         ends_of_step = [end]
-        if low > 0.0:  # else the first lever arm is zero
+        if low > 0.0:  # else x = 0 there, and the term is zero
             ends_of_step.insert(0, np.full(end.shape, low))
         for x in ends_of_step:
-            gradient = _density_gradient(profile, origin[rays] + x, interval)
+            gradient = _density_gradient(profile, origin[in_step] + x, interval)
             product = x * gradient
             part = 0.5 * (end - low) * product
             if curvature:
-                part = part * (rise[rays] - x)
-            total[rays] += part
+                part = part * (rise[in_step] - x)
+            total[in_step] += part
     return np.where(has_heights, total, np.nan)
 
 
@@ -140,14 +142,15 @@ def _density_gradient(profile: Profile, z: Array, interval: float) -> Array:
 
 
 MANUAL_TOP_M = 80_500.0
+"""Highest camera of Bertram's table, to which the Manual's formula is fitted."""
 
 
 @at_45_degrees
 def manual(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by 2410 H / (H^2 - 6 H + 250) - (h / H) 2410 h / (h^2 - 6 h + 250) urad.
 
-    Arguments as in `unbend.refraction.published`; ``profile`` is not looked at. H and h are km
-    above sea level. NaN for a camera at or below sea level or above 80.5 km, and for a ground more
+    Arguments as in `unbend.refraction.published`; ``profile`` is not used. H and h are km above sea
+    level. NaN for a camera at or below sea level or above 80.5 km, and for a ground more
     than 1000 m below it.
 
     A fit to Bertram's table, good above 6 km: against the spherical form at 45 degrees in ARDC 1959

@@ -34,9 +34,9 @@ def density(profile: Profile, h: ArrayLike) -> Array:
 
 
 def finite(*arguments: ArrayLike) -> tuple[Array, ...]:
-    """Arguments of a method as arrays of one shape, NaN for what is infinite.
+    """Arguments of a method as arrays of one shape, with NaN in the place of infinite values.
 
-    NaN goes through every formula in silence; infinity times zero is a warning.
+    Formulas pass NaN on without a warning; infinity times zero is a warning.
     """
     arrays = []
     for argument in arguments:
@@ -46,19 +46,19 @@ def finite(*arguments: ArrayLike) -> tuple[Array, ...]:
 
 
 def downward(h_c: Array, h_g: Array, zeta_c: Array) -> Mask:
-    """Where a plane form has a meaning: below the horizon, with the ground below the camera."""
+    """Where a plane form is defined: rays below the horizon, the ground not above the camera."""
     return (zeta_c >= 0.0) & (zeta_c < math.pi / 2.0) & (h_c >= h_g)
 
 
 def times_tangent(r: Array, h_c: Array, h_g: Array, zeta_c: Array) -> Array:
-    """R tan(zeta_c) [rad] of the radians at 45 degrees; NaN where it has no meaning."""
+    """R_c = R tan(zeta_c) [rad] from R, ``r`` [rad at 45 degrees]; NaN where it is not defined."""
     is_usable = downward(h_c, h_g, zeta_c)
     tangent = np.tan(np.where(is_usable, zeta_c, 0.0))
     return np.where(is_usable, r * tangent, np.nan)
 
 
 def at_45_degrees(plane_form: Callable[..., Array]) -> Method:
-    """Decorator: the method R_c = R tan(zeta_c) of a plane form.
+    """Decorator that makes a plane form R a method R_c = R tan(zeta_c).
 
     The plane form is a function of profile, h_c, h_g (arrays of one shape) and options that returns
     R [rad at 45 degrees].
@@ -77,19 +77,20 @@ def at_45_degrees(plane_form: Callable[..., Array]) -> Method:
         r = plane_form(profile, h_c, h_g, **options)
         return times_tangent(r, h_c, h_g, zeta_c)
 
-    vars(method).pop("__wrapped__")  # its help shows the arguments of a method
+    vars(method).pop("__wrapped__")  # so that help() shows the arguments of the method
     return method
 
 
 class _Column(NamedTuple):
-    """The integral of a quantity from the lowest height to each of those that divide a profile."""
+    """Integrals of a quantity over the height of a profile."""
 
-    edge_m: Array
-    integral: Array
+    edge_m: Array  # (p + 1,) heights that divide the profile
+    integral: Array  # (p + 1,) from the lowest of these heights to each
 
 
 @lru_cache(maxsize=64)
 def _column(profile: Profile, quantity: Quantity) -> _Column:
+    """The `_Column` of a quantity in pieces of at most 500 m."""
     edge = cut(profile.break_heights_m, _PIECE_M)
     parts = _gauss(profile, quantity, edge[:-1], edge[1:])
     integral = np.concatenate([[0.0], np.cumsum(parts)])
@@ -97,7 +98,7 @@ def _column(profile: Profile, quantity: Quantity) -> _Column:
 
 
 def _gauss(profile: Profile, quantity: Quantity, low: Array, high: Array) -> Array:
-    """Integrals of a quantity from heights ``low`` to ``high`` by the Gauss nodes between."""
+    """Integrals of a quantity over height from ``low`` to ``high`` [m], by four Gauss nodes."""
     half = 0.5 * (high - low)
     middle = 0.5 * (high + low)
     total = np.zeros(half.shape)
@@ -107,7 +108,7 @@ def _gauss(profile: Profile, quantity: Quantity, low: Array, high: Array) -> Arr
 
 
 def mean(profile: Profile, quantity: Quantity, h_g: Array, h_c: Array) -> Array:
-    """Mean of a quantity over height between ``h_g`` and ``h_c``; its value where they meet.
+    """Mean of a quantity over height between ``h_g`` and ``h_c``; its value there if h_g = h_c.
 
     Heights [m] are of one shape; NaN outside the profile. The integral is exact to 1e-15 of that
     from the profile's bottom.
@@ -116,8 +117,8 @@ def mean(profile: Profile, quantity: Quantity, h_g: Array, h_c: Array) -> Array:
 
     def integral_up_to(h: Array) -> Array:
         inside = np.where(np.isfinite(h), h, edge[0])
-        edges_below = np.searchsorted(edge, inside, side="right")
-        piece = np.clip(edges_below - 1, 0, edge.size - 2)
+        edges_up_to = np.searchsorted(edge, inside, side="right")
+        piece = np.clip(edges_up_to - 1, 0, edge.size - 2)
         return np.asarray(integral[piece] + _gauss(profile, quantity, edge[piece], h))
 
     rise = h_c - h_g

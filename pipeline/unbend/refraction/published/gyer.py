@@ -28,11 +28,12 @@ _SHELLS_PER_INTERVAL = 5000
 _SHELL_INTERVALS = 2
 _RAYS_AT_ONCE = 64  # in shells: 5 MB an array
 
-_ROUNDING = 1e-12  # of k: by so much a ray that grazes the ground may miss it
-_INTERVAL_ROUNDING = 1e-9  # 3000 m that are reached with a rounding error are three intervals
+_ROUNDING = 1e-12  # share of k by which rounding may make a ray miss the ground that it grazes
+_INTERVAL_ROUNDING = 1e-9  # 3000 m with a rounding error are three intervals, not four
 
-# Shares of a node in the intervals about it (Eq. 31), by the number of an interval less that of the
-# node, which is its lower end. The two outer ones end at the next node.
+# Weights of node j in the integrals over the intervals about it (Eq. 31), by the number of the
+# interval less j. Interval j begins at node j. An interval's four nodes are its ends and the next
+# node on either side.
 _NODE_SHARES = {
     -2: -1.0 / 24.0,
     -1: 13.0 / 24.0,
@@ -42,21 +43,21 @@ _NODE_SHARES = {
 
 
 class _MoistCoefficients(NamedTuple):
-    """What dry air and water vapour add to R [urad K hPa-1]."""
+    """Coefficients of the refractivity of moist air, dry * p / T - loss * e / T, in 1e-6."""
 
-    dry: float  # (n - 1) / (p / T)
-    loss: float  # by e / T
+    dry: float  # [K hPa-1]
+    loss: float  # [K hPa-1]
 
 
 MOIST_COEFFICIENTS = {
     "gyer": _MoistCoefficients(dry=78.831, loss=11.036),  # Gyer 1996, Eq. 13
     "ciddor": _MoistCoefficients(dry=79.026, loss=11.27),  # Ciddor 1996 at 0.55 um
 }
-"""By the name of the index."""
+"""By the name of the formula of the index."""
 
 
 def _n2_less_1(profile: Profile, h: Array, power: int = 1) -> Array:
-    """Powers of n^2 - 1."""
+    """(n^2 - 1) to the given power, at heights ``h`` [m]."""
     n_less_1 = profile.refractivity(h)
     return np.asarray((n_less_1 * (2.0 + n_less_1)) ** power)
 
@@ -91,7 +92,10 @@ def plane_first_term(
 
 
 def _stepped_mean_excess(profile: Profile, h_c: Array, h_g: Array, step: float) -> Array:
-    """Mean of n^2 - 1 in the column less that at the camera, by the sum of Eq. 31."""
+    """Mean of n^2 - 1 between ground and camera less that at the camera, by the sum of Eq. 31.
+
+    ``step`` [m] is the widest interval. Zero where the ground is not below the camera.
+    """
     intervals = _intervals(profile, h_c, h_g, step)
     w_c = _n2_less_1(profile, h_c).ravel()
 
@@ -108,7 +112,7 @@ def _stepped_mean_excess(profile: Profile, h_c: Array, h_g: Array, step: float) 
 def plane(
     profile: Profile, h_c: ArrayLike, h_g: ArrayLike, zeta_c: ArrayLike, radius: ArrayLike
 ) -> Array:
-    """R_c [rad] in flat layers with the two further terms (Gyer 1996, Eq. 24, misprints mended).
+    """R_c [rad] in flat layers with the two further terms (Gyer 1996, Eq. 24, misprints corrected).
 
     Arguments as in `unbend.refraction.published`.
     The further terms are 0.02 arcsec at 60 degrees and 10 km. Beyond that the first term alone errs
@@ -137,7 +141,7 @@ def plane(
 
 
 def _wetness(profile: Profile, h: Array) -> Array:
-    """e / T [hPa K-1]."""
+    """e / T [hPa K-1], vapour pressure over temperature, at heights ``h`` [m]."""
     return np.asarray(profile.vapour_pressure(h) / HECTOPASCAL / profile.temperature(h))
 
 
@@ -183,7 +187,7 @@ def gyer1996(
     """R_c [rad] through spherical layers as Gyer computed it (1996, Eq. 1, 11, 12, 31, 33-35).
 
     Arguments as in `unbend.refraction.published`.
-    ``step`` [m] is the widest interval of Eq. 31, whose equal intervals fill the height difference.
+    ``step`` [m] is the largest width of the equal intervals of Eq. 31 between ground and camera.
     The profile must reach one interval beyond either end. P_90 is the point where a ray is level
     (zeta = 90 degrees). If it is within an interval below the ground, the two lowest intervals are
     not by Eq. 31 but by thin shells (Eq. 33-35), which Gyer has for rays that are level at the
@@ -217,7 +221,7 @@ def gyer1996(
 def _eq_11(
     profile: Profile, h_c: Array, h_g: Array, zeta_c: Array, radius: Array, *, step: float
 ) -> Array:
-    """R_c [rad] by Eq. 11 as printed; arguments as for `subtended_angle`."""
+    """R_c [rad] of Gyer 1996, Eq. 11 as printed; arguments as for `subtended_angle`."""
     theta = subtended_angle(profile, h_c, h_g, zeta_c, radius, step=step)
     r_camera = radius + h_c
     r_ground = radius + h_g
@@ -230,14 +234,14 @@ def _eq_11(
 
 @dataclass(frozen=True, eq=False)
 class _Intervals:
-    """Equal intervals between ground and camera."""
+    """Equal intervals of height between ground and camera of rays (n,)."""
 
-    count: Array  # 0 where an end lies outside the profile
-    width_m: Array  # NaN there
+    count: Array  # 0 where an end is outside the profile
+    width_m: Array  # NaN where an end is outside the profile
 
 
 def _intervals(profile: Profile, h_c: Array, h_g: Array, step: float) -> _Intervals:
-    """The equal intervals of Eq. 31, none wider than ``step`` [m]."""
+    """The equal intervals of Eq. 31, at least one and none wider than ``step`` [m]."""
     if not step > 0.0:
         raise messages.method_step(step=step)
     is_inside = (profile.layer_of(h_c) >= 0) & (profile.layer_of(h_g) >= 0)
@@ -257,16 +261,17 @@ def subtended_angle(
 ) -> Array:
     """Angle [rad] that rays subtend at the centre of the earth, as Gyer computed it (Eq. 12).
 
-    All arguments but ``step`` are (n,); elsewhere as for `gyer1996`. NaN for rays that miss the
-    ground.
+    Arguments as for `gyer1996`, all but ``step`` of the shape (n,). NaN for rays that miss the
+    ground. The lowest intervals of rays that are level within an interval below the ground are
+    integrated in thin shells, the others by Eq. 31.
     """
     k = _n_r(profile, h_c, radius + h_c) * np.sin(zeta_c)
     intervals = _intervals(profile, h_c, h_g, step)
-    below = h_g - intervals.width_m
+    h_below = h_g - intervals.width_m  # an interval below the ground
     misses = _n_r(profile, h_g, radius + h_g) < k * (1.0 - _ROUNDING)
-    is_grazing = _n_r(profile, below, radius + below) <= k
-    lowest = np.minimum(intervals.count, _SHELL_INTERVALS)
-    in_shells = np.where(is_grazing, lowest, 0.0)
+    is_grazing = _n_r(profile, h_below, radius + h_below) <= k
+    shell_intervals = np.minimum(intervals.count, _SHELL_INTERVALS)
+    shell_intervals = np.where(is_grazing, shell_intervals, 0.0)
 
     def eq_12(h: Array, rays: Rows) -> Array:
         r = radius[rays] + h
@@ -275,8 +280,8 @@ def subtended_angle(
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(k_ray / (r * np.sqrt((n_r - k_ray) * (n_r + k_ray))))
 
-    theta = _eq_31(eq_12, h_g, intervals, in_shells)
-    shells_m = intervals.width_m * in_shells
+    theta = _eq_31(eq_12, h_g, intervals, shell_intervals)
+    shells_m = intervals.width_m * shell_intervals
     rays_in_shells = np.flatnonzero(is_grazing & ~misses)
     blocks = max(1, math.ceil(rays_in_shells.size / _RAYS_AT_ONCE))
     for rays in np.array_split(rays_in_shells, blocks):
@@ -289,8 +294,8 @@ def _angle_in_shells(
 ) -> Array:
     """Angle [rad] that rays subtend in thin shells on the ground (Eq. 33-35).
 
-    ``shells_m`` is the thickness of all shells of a ray, ``k`` its n r sin(zeta) [m]. In shell i
-    the index is that of its lower end, n_i.
+    Arguments are (n,) in m: ``shells_m`` is the thickness of all shells of a ray together, ``k`` is
+    n r sin(zeta), ``radius`` that of the sphere. In shell i the index is n_i, of its lower end.
     """
     count = _SHELLS_PER_INTERVAL * _SHELL_INTERVALS
     share = np.arange(count + 1) / count
@@ -308,9 +313,10 @@ def _eq_31(
     intervals: _Intervals,
     first: Array,
 ) -> Array:
-    """Sum of Eq. 31 over the intervals of each ray from number ``first``, counted from the ground.
+    """Integral by Eq. 31 over the intervals of each ray from number ``first``, from the ground up.
 
-    ``integrand`` is given heights and the numbers of the rays they belong to.
+    ``integrand`` is a function of heights [m] and of the numbers of the rays at these heights.
+    ``h_g`` are the heights of the ground [m]. NaN where a ray has no intervals.
     """
     ground = h_g.ravel()
     width = intervals.width_m.ravel()

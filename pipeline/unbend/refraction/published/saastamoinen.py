@@ -1,9 +1,9 @@
 """The formulas of Saastamoinen 1974: R = mean n - n at the camera, and what follows from it.
 
-All are plane: alpha = R tan(zeta_c) (Eq. 1). He lets the refractive index follow the density, in
-moist air too, where that overstates the effect of humidity about twice. His Eq. 7, 8 and 10 hold g
-M / R* as 34.11 (it is 34.163 K per geopotential km) and so read 27 % high at 120 m above ground and
-1 % at 3 km; the coefficient 39.6 of Eq. 8 is 39.5 when derived from Eq. 7.
+All are plane: alpha = R tan(zeta_c) (Eq. 1). He takes the refractive index in proportion to the
+density, in moist air too, where that overstates the effect of humidity about twice. His Eq. 7, 8
+and 10 have g M / R* = 34.11 (it is 34.163 K per geopotential km) and so read 27 % high at 120 m
+above ground and 1 % at 3 km; the coefficient 39.6 of Eq. 8 is 39.5 when derived from Eq. 7.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ ICAN_TROPOPAUSE_M = 11_000.0
 ICAN_TOP_M = 30_000.0
 QUADRATIC_TOP_M = 9_000.0
 _SERIES_TOP_KM = 30.0  # above ground
-_SERIES_TERMS = 30
+_SERIES_TERMS = 30  # enough up to `_SERIES_TOP_KM`
 
 
 @at_45_degrees
@@ -43,7 +43,7 @@ def saastamoinen1974(profile: Profile, h_c: Array, h_g: Array) -> Array:
 def saastamoinen1974_ican(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] in the I.C.A.N. atmosphere (Saastamoinen 1974, Eq. 3a, 3b): heights only.
 
-    Arguments as in `unbend.refraction.published`; ``profile`` is not looked at. Ground up to 11 km,
+    Arguments as in `unbend.refraction.published`; ``profile`` is not used. Ground up to 11 km,
     camera up to 30 km, NaN beyond. Eq. 3b has a plus before 521 / (H - h). Within 0.2 urad of Eq. 2
     in that atmosphere up to 20 km, within 0.25 in US 1962 (worst at 12 km).
 
@@ -67,7 +67,10 @@ def saastamoinen1974_ican(profile: Profile, h_c: Array, h_g: Array) -> Array:
 
 
 def _eq_5(c_1: float, c_2: float, h_c: Array, h_g: Array) -> Array:
-    """R [rad] where n = n_0 + c_1 z + c_2 z^2."""
+    """R [rad at 45 degrees] where n = n_0 + c_1 z + c_2 z^2, z the height (Saastamoinen, Eq. 5).
+
+    ``c_1`` [m-1], ``c_2`` [m-2], heights of camera and ground [m].
+    """
     ratio = 2.0 * c_2 / (3.0 * c_1)
     return np.asarray(-0.5 * c_1 * (h_c - h_g) * (1.0 + ratio * (2.0 * h_c + h_g)))
 
@@ -76,8 +79,8 @@ def _eq_5(c_1: float, c_2: float, h_c: Array, h_g: Array) -> Array:
 def saastamoinen1974_quadratic(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] by 13 (H - h) (1 - 0.02 (2H + h)) (Saastamoinen 1974, Eq. 6): heights only.
 
-    Arguments as in `unbend.refraction.published`; ``profile`` is not looked at. Camera up to 9 km,
-    NaN beyond. Within 0.5 urad of Eq. 2 in US 1962, as he states.
+    Arguments as in `unbend.refraction.published`; ``profile`` is not used. Camera up to 9 km, NaN
+    beyond. Within 0.5 urad of Eq. 2 in US 1962, as he states.
 
     >>> r = saastamoinen1974_quadratic(None, 6000.0, 0.0, 0.7853981633974483, 0.0)
     >>> float((r * 1e6).round(2))
@@ -166,8 +169,8 @@ def weather_refraction(
 def saastamoinen1974_weather(profile: Profile, h_c: Array, h_g: Array) -> Array:
     """R_c [rad] from pressure and temperature at both ends (Saastamoinen 1974, Eq. 7).
 
-    Arguments as in `unbend.refraction.published`. The ground need not lie at sea level (as in his
-    Eq. 10). The temperature is the virtual one, so that it stands for density. NaN where h_c = h_g:
+    Arguments as in `unbend.refraction.published`. The ground need not be at sea level (as in his
+    Eq. 10). The temperature is the virtual one, which gives the density. NaN where h_c = h_g:
     the formula has no limit there. For its accuracy see `weather_refraction`.
 
     >>> from unbend.atmosphere import standard_atmosphere
@@ -219,8 +222,8 @@ def saastamoinen1974_series(profile: Profile, h_c: Array, h_g: Array) -> Array:
 def compartment(refractivity_outside: ArrayLike, refractivity_cabin: ArrayLike) -> Array:
     """Delta R = n_H - n_A [rad at 45 degrees], to be added to R (Saastamoinen 1974, Eq. 9).
 
-    For a horizontal window; the exact form is `unbend.refraction.window.refract_at_window`. His
-    Delta R is Gyer's -R_cc.
+    From the refractivities N outside, n_H, and in the cabin, n_A, for a horizontal window; the
+    exact form is `unbend.refraction.window.refract_at_window`. His Delta R is Gyer's -R_cc.
 
     >>> round(float(compartment(149.75e-6, 212.28e-6)) * 1e6, 1)
     -62.5

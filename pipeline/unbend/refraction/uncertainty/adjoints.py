@@ -1,8 +1,9 @@
 """The adjoint of a ray: derivatives of R_c by the refractivity along it and by both its ends.
 
-A small change of the air moves R_c by sum of w_j dN_j; the adjoint gives the weights w.
+A small change of the air changes R_c by the sum of w_j dN_j; the adjoint gives the weights w.
 
-With s = r_c sin zeta_c and nu = n / n_c the ray subtends (Gyer 1996, Eq. 1 and 12)
+With s = r_c sin zeta_c and nu = n / n_c the ray subtends at the earth's centre the angle (Gyer
+1996, Eq. 1 and 12)
 
     theta = integral over h of s / (r sqrt(nu^2 r^2 - s^2)),   R_c = zeta_c - psi(theta, r_c, r_g),
 
@@ -36,16 +37,17 @@ from unbend.units import Array, Mask, Rows
 _PIECE_M = 500.0
 _NODES = 6
 
-# (n r - k) / n_c [m], the excess, is a ray's distance from being level. m has a pole where it is
+# The excess (n r - k) / n_c = nu r - s [m] is zero where a ray is level. m has a pole where it is
 # zero; down to this excess the derivatives are good to 1e-9.
 LEVEL_GUARD_M = 1e-3
-MOST_STEPS_OF_PIECE = 20
+MOST_NODES_OF_PIECE = 20
 _COARSE = np.polynomial.legendre.leggauss(4)
-_FINE = np.polynomial.legendre.leggauss(MOST_STEPS_OF_PIECE)
-_COARSE_GRADING = 0.4  # ln of the ratio of the excess at the ends of a piece: up to it 4 nodes do
-_LEAST_GRADING = 1e-9  # no division by zero
+_FINE = np.polynomial.legendre.leggauss(MOST_NODES_OF_PIECE)
+_COARSE_GRADING = 0.4  # up to this ln of the ratio of the excess at a piece's ends 4 nodes suffice
+_LEAST_GRADING = 1e-9  # in the place of zero, by which nothing can be divided
 
-# Rays shorter than this in height follow their closed limit: both err by 6e-8 in dR/dh.
+# Rays over less height than this get a closed limit: here it and the traced dR/dh err by the same
+# 6e-8.
 _SHORT_M = 1e-4
 _SHORT_GUARD_M = 1.0  # of the excess of short rays
 
@@ -71,7 +73,7 @@ class Pieces(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """Rays (n,)."""
+    """Rays (n,) with their refraction angles."""
 
     h_c: Array  # height of the camera [m]
     h_g: Array  # height of the target [m]
@@ -80,15 +82,15 @@ class Rays(NamedTuple):
     r_c: Array  # refraction angle [rad]
 
     def rows(self, which: Rows) -> Rays:
-        """Some of the rays."""
+        """The rays with the numbers ``which``."""
         return Rays(*(column[which] for column in self))
 
 
 class _End(NamedTuple):
-    """An end of each ray (n,)."""
+    """An end of each ray (n,), at the camera or at the target."""
 
-    piece: Rows  # that holds it
-    polynomials: Array  # (n, 6) there
+    piece: Rows  # number of the piece that contains the end
+    polynomials: Array  # (n, 6) Chebyshev polynomials there
     refractivity: Array
 
 
@@ -107,7 +109,7 @@ class _Integrals(NamedTuple):
     theta: Array  # angle subtended at the earth's centre [rad]
     by_s: Array  # of m dh, which is d(theta)/ds [1/m]
     moments: Array  # (n, p, 6) of m / n times each Chebyshev polynomial of each piece
-    least_excess: Array  # smallest excess that a node or an end has [m]
+    least_excess: Array  # smallest excess at the nodes and ends of a ray [m]
 
 
 class _Air(NamedTuple):
@@ -128,13 +130,13 @@ class _Chord(NamedTuple):
 class _Adjoints(NamedTuple):
     """Derivatives of R_c of rays (n,), NaN where they are not valid."""
 
-    weight: Array  # (n, nodes) by N at the nodes, the share of the camera's N included
+    weight: Array  # (n, p * 6) by N at all nodes; the derivative by the camera's N is included
     by_place: Array  # (n, 3) by h_c, h_g [rad/m] and zeta_c
     valid: Mask
 
 
 def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
-    """The pieces of a profile that heights from ``low`` to ``high`` [m] fall in."""
+    """The pieces of a profile that cover the heights from ``low`` to ``high`` [m]."""
     edge = cut(profile.break_heights_m, _PIECE_M)
     edges_below = np.searchsorted(edge, low, side="left")
     edges_up_to = np.searchsorted(edge, high, side="right")
@@ -145,21 +147,20 @@ def pieces_between(profile: Profile, low: float, high: float) -> Pieces:
     height = edge[:-1, None] + half * (1.0 + _CHEBYSHEV)
     coefficient = profile.refractivity(height) @ _TO_COEFFICIENTS.T
     slope = np.polynomial.chebyshev.chebder(coefficient, axis=1) / half
-    # Of one degree less: a last coefficient of 0.
-    as_many_coefficients = np.pad(slope, ((0, 0), (0, 1)))
+    slope_of_6 = np.pad(slope, ((0, 0), (0, 1)))  # of one degree less: a last coefficient of 0
     return Pieces(
         edge_m=edge,
         height_m=height,
         coefficient=coefficient,
-        slope=as_many_coefficients,
+        slope=slope_of_6,
     )
 
 
 def trace_adjoints(pieces: Pieces, rays: Rays) -> _Adjoints:
     """The adjoint of each ray, by Gauss-Legendre in each piece of the profile.
 
-    Not valid are rays that turn between their ends, or come within `LEVEL_GUARD_M` of being level
-    on their way; within `_SHORT_GUARD_M` where camera and target have nearly one height.
+    Rays are not valid if they turn between their ends, or if their excess is anywhere on the way at
+    most `LEVEL_GUARD_M`, or `_SHORT_GUARD_M` where camera and target have nearly one height.
     """
     camera = _end_of_rays(pieces, rays.h_c, rays.h_g)
     integrals = _integrals(pieces, rays, camera.refractivity)
@@ -172,7 +173,7 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> _Adjoints:
     slope_c = np.sum(pieces.slope[camera.piece] * camera.polynomials, axis=1)
     gradient_c = slope_c / (1.0 + camera.refractivity)  # N_c' / n_c
     d_zeta_c = 1.0 - by_theta * r_c * np.cos(rays.zeta_c) * integrals.by_s
-    traced = (
+    traced_by_place = (
         _by_camera_height(rays, gradient_c, d_zeta_c, chord),
         _by_target_height(pieces, rays, camera.refractivity, chord),
         d_zeta_c,
@@ -181,17 +182,17 @@ def trace_adjoints(pieces: Pieces, rays: Rays) -> _Adjoints:
     guard_m = np.where(is_short, _SHORT_GUARD_M, LEVEL_GUARD_M)
     valid = integrals.least_excess > guard_m
     weight[~valid] = np.nan
-    by_place = np.where(is_short, _limit_of_short_rays(rays, gradient_c), traced)
+    by_place = np.where(is_short, _limit_of_short_rays(rays, gradient_c), traced_by_place)
     by_place = np.where(valid, by_place, np.nan)
     return _Adjoints(weight, by_place.T, valid)
 
 
 def _chord(rays: Rays, theta: Array) -> _Chord:
-    """The chords of rays that subtend ``theta`` (n,) [rad]."""
+    """The chords of rays that subtend ``theta`` (n,) [rad] at the earth's centre."""
     fall = rays.h_c - rays.h_g
     r_c = rays.radius + rays.h_c
     r_g = rays.radius + rays.h_g
-    sagitta = 2.0 * np.sin(0.5 * theta) ** 2
+    sagitta = 2.0 * np.sin(0.5 * theta) ** 2  # 1 - cos(theta)
     length = np.sqrt(fall * fall + 2.0 * r_c * r_g * sagitta)
     length[length == 0.0] = 1.0
     cos_beta = (fall - r_c * sagitta) / length
@@ -199,7 +200,11 @@ def _chord(rays: Rays, theta: Array) -> _Chord:
 
 
 def _weights_of_nodes(rays: Rays, integrals: _Integrals, by_theta: Array, camera: _End) -> Array:
-    """(n, nodes) psi' s times the integral of m (dN / n - dN_c / n_c); ``by_theta`` is psi'."""
+    """(n, p * 6) derivatives of R_c by N at the nodes of all pieces.
+
+    They are psi' s times the integral of m (dN / n - dN_c / n_c); ``by_theta`` is psi', ``camera``
+    the end of the rays there.
+    """
     r_c = rays.radius + rays.h_c
     scale = by_theta * r_c * np.sin(rays.zeta_c)
     weight = (scale[:, None, None] * integrals.moments) @ _TO_COEFFICIENTS
@@ -219,7 +224,10 @@ def _by_camera_height(rays: Rays, gradient_c: Array, d_zeta_c: Array, chord: _Ch
 
 
 def _limit_of_short_rays(rays: Rays, gradient_c: Array) -> tuple[Array, Array, Array]:
-    """Derivatives by h_c, h_g and zeta_c of R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n)."""
+    """Derivatives of R_c by h_c, h_g and zeta_c of rays with nearly one height at both ends.
+
+    Those of R_c = -tan(zeta_c) N' (h_c - h_g) / (2 n); ``gradient_c`` is N_c' / n_c.
+    """
     fall = rays.h_c - rays.h_g
     tan_c = np.tan(rays.zeta_c)
     half = 0.5 * gradient_c
@@ -229,17 +237,18 @@ def _limit_of_short_rays(rays: Rays, gradient_c: Array) -> tuple[Array, Array, A
     return by_h_c, by_h_g, by_zeta_c
 
 
-def _basis(u: Array) -> Array:
-    """(6, ...) Chebyshev polynomials at u."""
+def _chebyshev(u: Array) -> Array:
+    """(6, ...) Chebyshev polynomials at u, from -1 to 1 in a piece."""
     polynomials = np.polynomial.chebyshev.chebvander(u, _NODES - 1)
     basis = np.asarray(polynomials, np.float64)
     return np.moveaxis(basis, -1, 0)
 
 
 def _end_of_rays(pieces: Pieces, h: Array, other_end: Array) -> _End:
-    """The end of each ray at a height ``h`` (n,) [m].
+    """The end of each ray at the height ``h`` (n,) [m].
 
-    Where pieces meet, the piece is that on the side of the ray's other end.
+    Where pieces meet, the piece is that on the side of ``other_end`` (n,) [m], the height of the
+    ray's other end.
     """
     edge = pieces.edge_m
     below = np.searchsorted(edge, h, side="left") - 1
@@ -249,7 +258,7 @@ def _end_of_rays(pieces: Pieces, h: Array, other_end: Array) -> _End:
     low = edge[piece]
     high = edge[piece + 1]
     u = 2.0 * (h - low) / (high - low) - 1.0
-    polynomials = _basis(u).T
+    polynomials = _chebyshev(u).T
     return _End(
         piece=piece,
         polynomials=polynomials,
@@ -258,42 +267,44 @@ def _end_of_rays(pieces: Pieces, h: Array, other_end: Array) -> _End:
 
 
 def _lift(rays: Rays) -> Array:
-    """r_c (1 - sin zeta_c) [m]."""
+    """r_c (1 - sin zeta_c) (n,) [m], the excess at the camera, without cancellation."""
     r_c = rays.radius + rays.h_c
     cos_c = np.cos(rays.zeta_c)
     return r_c * cos_c * cos_c / (1.0 + np.sin(rays.zeta_c))
 
 
-def _air_at(pieces: Pieces, rays: Rays, n_c: Array, h: Array) -> _Air:
-    """The air at heights ``h`` (n, p, j) [m] in each piece, the excess without cancellation.
+def _air_at(pieces: Pieces, rays: Rays, big_n_c: Array, h: Array) -> _Air:
+    """The air at heights ``h`` (n, p, j) [m] of rays in each piece; the excess does not cancel.
 
+    ``big_n_c`` (n,) is N at the camera:
     nu r - s = r (N - N_c) / n_c + (h - h_c) + r_c (1 - sin zeta_c).
     """
     low = pieces.edge_m[:-1, None]
     high = pieces.edge_m[1:, None]
     u = 2.0 * (h - low) / (high - low) - 1.0
     u = np.clip(u, -1.0, 1.0)
-    basis = _basis(u)
+    basis = _chebyshev(u)
     refractivity = np.einsum("pa,abpj->bpj", pieces.coefficient, basis)
     h_c = rays.h_c[:, None, None]
     radius = rays.radius[:, None, None]
-    n_c = n_c[:, None, None]
+    big_n_c = big_n_c[:, None, None]
     lift = _lift(rays)[:, None, None]
-    by_air = (radius + h) * (refractivity - n_c) / (1.0 + n_c)
+    by_air = (radius + h) * (refractivity - big_n_c) / (1.0 + big_n_c)
     excess = by_air + (h - h_c) + lift
     return _Air(excess, refractivity, basis)
 
 
-def _graded_nodes(pieces: Pieces, rays: Rays, n_c: Array) -> _Nodes:
-    """Nodes of Gauss-Legendre at which the excess grows by equal ratios in each piece.
+def _graded_nodes(pieces: Pieces, rays: Rays, big_n_c: Array) -> _Nodes:
+    """Nodes of Gauss-Legendre in x at which the excess grows by equal ratios in each piece.
 
     That undoes the pole of m where the excess is zero: h = h_0 + scale (exp(grading x) - 1), x from
-    0 to 1 in each piece, grading the logarithm of the ratio of the excess at its ends.
+    0 to 1 in each piece, grading the logarithm of the ratio of the excess at its ends. ``big_n_c``
+    (n,) is N at the camera.
     """
     ends = _ends_in_pieces(pieces, rays)
     width = np.diff(ends)
     is_inside = width > 0.0
-    excess = _air_at(pieces, rays, n_c, ends).excess
+    excess = _air_at(pieces, rays, big_n_c, ends).excess
     excess = np.where(is_inside, excess, np.inf)
     least = excess.min(axis=(1, 2))
     grading = _grading(excess, least)
@@ -310,18 +321,21 @@ def _graded_nodes(pieces: Pieces, rays: Rays, n_c: Array) -> _Nodes:
     )
 
 
-def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Integrals:
-    """The `_Integrals` along rays, ``n_c`` (n,) the refractivity at the camera."""
-    nodes = _graded_nodes(pieces, rays, n_c)
-    air = _air_at(pieces, rays, n_c, nodes.height_m)
+def _integrals(pieces: Pieces, rays: Rays, big_n_c: Array) -> _Integrals:
+    """The `_Integrals` along rays; ``big_n_c`` (n,) is N at the camera.
+
+    Those of a ray that turns are meaningless: its ``least_excess`` is not positive.
+    """
+    nodes = _graded_nodes(pieces, rays, big_n_c)
+    air = _air_at(pieces, rays, big_n_c, nodes.height_m)
     excess_inside = np.where(nodes.is_inside, air.excess, np.inf)
     least = np.minimum(nodes.least_excess, excess_inside.min(axis=(1, 2)))
     does_not_turn = (least > 0.0)[:, None, None]
     excess = np.where(nodes.is_inside & does_not_turn, air.excess, 1.0)
     r_c = rays.radius + rays.h_c
     s = (r_c * np.sin(rays.zeta_c))[:, None, None]
-    n_c = n_c[:, None, None]
-    nu = 1.0 + (air.refractivity - n_c) / (1.0 + n_c)
+    big_n_c = big_n_c[:, None, None]
+    nu = 1.0 + (air.refractivity - big_n_c) / (1.0 + big_n_c)
     root = np.sqrt(excess * (excess + 2.0 * s))  # sqrt(nu^2 r^2 - s^2)
     r = (excess + s) / nu
     theta_step = nodes.step_m * s / (r * root)
@@ -336,7 +350,7 @@ def _integrals(pieces: Pieces, rays: Rays, n_c: Array) -> _Integrals:
 
 
 def _ends_in_pieces(pieces: Pieces, rays: Rays) -> Array:
-    """(n, p, 2) heights [m] between which a ray is in each piece; equal where it is not there."""
+    """(n, p, 2) lowest and highest height [m] of a ray in each piece; equal if it is not there."""
     low = np.minimum(rays.h_c, rays.h_g)[:, None]
     high = np.maximum(rays.h_c, rays.h_g)[:, None]
     lower_end = np.clip(pieces.edge_m[:-1], low, high)
@@ -345,37 +359,39 @@ def _ends_in_pieces(pieces: Pieces, rays: Rays) -> Array:
 
 
 def _grading(excess_at_ends: Array, least: Array) -> Array:
-    """(n, p, 1) logarithm of the ratio of the excess at the ends of each piece, never zero.
+    """(n, p, 1) logarithm of the ratio of the excess at the ends of each piece, not zero.
 
-    ``excess_at_ends`` (n, p, 2), infinite where a ray does not pass; ``least`` (n,) of a ray.
+    ``excess_at_ends`` (n, p, 2) is infinite where a ray does not pass a piece; ``least`` (n,) is
+    the smallest of a ray. Pieces that a ray does not pass, and rays that turn, get a tiny value.
     """
     turns = (least <= 0.0)[:, None, None]
-    has_none = ~np.isfinite(excess_at_ends) | turns
-    excess = np.where(has_none, 1.0, excess_at_ends)
+    has_no_logarithm = ~np.isfinite(excess_at_ends) | turns
+    excess = np.where(has_no_logarithm, 1.0, excess_at_ends)
     grading = np.diff(np.log(excess))
     grading[np.abs(grading) < _LEAST_GRADING] = _LEAST_GRADING
     return np.asarray(grading)
 
 
-def _by_target_height(pieces: Pieces, rays: Rays, n_c: Array, chord: _Chord) -> Array:
-    """dR_c/dh_g [rad/m] = -sin(beta - z_g) / (chord cos z_g).
+def _by_target_height(pieces: Pieces, rays: Rays, big_n_c: Array, chord: _Chord) -> Array:
+    """dR_c/dh_g [rad/m] = -sin(beta - z_g) / (chord cos z_g); ``big_n_c`` (n,) is N at the camera.
 
     beta - z_g comes from sin(beta) - sin(z_g), and that without cancellation from
     r_g sin(beta) = r_c sin(zeta_c - R_c) and n_g r_g sin(z_g) = n_c r_c sin(zeta_c).
     """
-    n_g = _end_of_rays(pieces, rays.h_g, rays.h_c).refractivity
+    big_n_g = _end_of_rays(pieces, rays.h_g, rays.h_c).refractivity
     r_c = rays.radius + rays.h_c
     r_g = rays.radius + rays.h_g
     s = r_c * np.sin(rays.zeta_c)
-    by_air = r_g * (n_g - n_c) / (1.0 + n_c)
+    by_air = r_g * (big_n_g - big_n_c) / (1.0 + big_n_c)
     fall = rays.h_c - rays.h_g
     excess = np.maximum(by_air - fall + _lift(rays), LEVEL_GUARD_M)
-    down = np.copysign(1.0, np.cos(rays.zeta_c))
+    down = np.copysign(1.0, np.cos(rays.zeta_c))  # 1 for rays downwards, -1 upwards
     root = np.sqrt(excess * (excess + 2.0 * s))
     cos_g = down * root / (excess + s)
-    half = 0.5 * rays.r_c
-    turned = 2.0 * r_c * np.cos(rays.zeta_c - half) * np.sin(half)
-    sine_difference = (s * (n_g - n_c) / (1.0 + n_g) - turned) / r_g
+    half = 0.5 * rays.r_c  # R_c / 2
+    # r_c (sin(zeta_c) - sin(zeta_c - R_c)), without a difference of near numbers.
+    sine_change = 2.0 * r_c * np.cos(rays.zeta_c - half) * np.sin(half)
+    sine_difference = (s * (big_n_g - big_n_c) / (1.0 + big_n_g) - sine_change) / r_g
     cosine_sum = chord.cos_beta + cos_g
     beta_less_z_g = 2.0 * np.arctan2(sine_difference * down, cosine_sum * down)
     return np.asarray(-np.sin(beta_less_z_g) / (chord.length * cos_g))

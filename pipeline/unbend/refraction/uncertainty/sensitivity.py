@@ -21,7 +21,7 @@ from unbend.refraction.ray import DEFAULT_RADIUS_M, as_columns, bend
 from unbend.refraction.ray_table import ray_table
 from unbend.refraction.status_codes import BEYOND_GRAZING, OK
 from unbend.refraction.uncertainty.adjoints import (
-    MOST_STEPS_OF_PIECE,
+    MOST_NODES_OF_PIECE,
     Pieces,
     Rays,
     pieces_between,
@@ -29,22 +29,20 @@ from unbend.refraction.uncertainty.adjoints import (
 )
 from unbend.units import Array, Mask, Rows
 
-_BLOCK = 200_000  # quadrature nodes at a time: 10 MB of polynomials
+_NODES_AT_ONCE = 200_000  # of the quadrature: 10 MB of polynomials
 
 
 class RayWeights(NamedTuple):
-    """The change of R_c with refractivity: dR_c = weight @ dN.
+    """The change of R_c of rays (...) with refractivity: dR_c = weight @ dN.
 
-    ``height_m`` (n,) heights [m above sea level], the same for all rays; ``weight`` (..., n) the
-    derivative of R_c [rad] with respect to N there, NaN where not ``valid``. The camera's
-    refractivity, interpolated between them, is included: N to N + c (1 + N) changes nothing.
-    ``r_c`` [rad] and ``status`` as `bend` has them.
+    The camera's refractivity is interpolated between the heights, and its derivative is included in
+    the weights: a change from N to N + c (1 + N) does not change R_c.
     """
 
-    height_m: Array
-    weight: Array
-    r_c: Array
-    status: NDArray[np.uint8]
+    height_m: Array  # (n,) heights [m above sea level], the same for all rays
+    weight: Array  # (..., n) derivative of R_c [rad] with respect to N there, NaN where not valid
+    r_c: Array  # refraction angle [rad], as from `bend`
+    status: NDArray[np.uint8]  # as from `bend`
     valid: Mask
 
 
@@ -52,31 +50,28 @@ class RayWeights(NamedTuple):
 class Sensitivity:
     """Derivatives of R_c [rad] of rays (...); NaN where not ``valid``.
 
-    By the air: ``d_temperature``, ``d_vapour`` (..., m + 1) with respect to T_M [1/K] and e/p at
-    the layers' edges ``edge_height_m`` (m + 1,) [m above sea level], one held where the other
-    changes, pressure following by hydrostatics from the anchor; ``d_log_pressure``, ``d_pressure``
-    to ln p and p [1/Pa] at the anchor (from T_M to a thermometer's T: `air_jacobian`). The air
-    held: ``d_h_c``, ``d_h_g`` with respect to the heights of camera and target [1/m], ``d_zeta_c``
-    to the apparent nadir angle at the camera. ``r_c`` and ``status`` as `bend` has them.
+    Of temperature and vapour at the edges of layers, each is the same while the other changes, and
+    pressure follows by hydrostatics from the anchor. `air_jacobian` gives the step from T_M to the
+    T of a thermometer. The air is the same while places and the nadir angle change.
     """
 
-    edge_height_m: Array
-    r_c: Array
-    d_temperature: Array
-    d_vapour: Array
-    d_log_pressure: Array
-    d_pressure: Array
-    d_h_c: Array
-    d_h_g: Array
-    d_zeta_c: Array
-    status: NDArray[np.uint8]
+    edge_height_m: Array  # (m + 1,) edges of the layers [m above sea level]
+    r_c: Array  # refraction angle [rad], as from `bend`
+    d_temperature: Array  # (..., m + 1) by T_M at the edges [rad/K]
+    d_vapour: Array  # (..., m + 1) by e/p at the edges [rad]
+    d_log_pressure: Array  # by ln p at the anchor [rad]
+    d_pressure: Array  # by p at the anchor [rad/Pa]
+    d_h_c: Array  # by the height of the camera [rad/m]
+    d_h_g: Array  # by the height of the target [rad/m]
+    d_zeta_c: Array  # by the apparent nadir angle at the camera
+    status: NDArray[np.uint8]  # as from `bend`
     valid: Mask
 
     @property
     def gradient(self) -> Array:
         """(..., 2m + 3) derivatives by the air, in the order of `ProfileCovariance.matrix`."""
-        level = self.d_log_pressure[..., None]
-        return np.concatenate([self.d_temperature, level, self.d_vapour], axis=-1)
+        log_pressure = self.d_log_pressure[..., None]
+        return np.concatenate([self.d_temperature, log_pressure, self.d_vapour], axis=-1)
 
 
 def ray_weights(
@@ -88,8 +83,8 @@ def ray_weights(
 ) -> RayWeights:
     """Derivatives of R_c with respect to refractivity along each ray.
 
-    Arguments and validity are those of `sensitivity`. The array is rays times some 6 nodes per
-    layer or per 500 m: for many rays take `sensitivity`, which keeps only the products.
+    Arguments and validity are those of `sensitivity`. The array of weights is rays times some 6
+    nodes per layer or per 500 m: for many rays use `sensitivity`, which keeps only the products.
 
     >>> from unbend.atmosphere import standard_atmosphere
     >>> air = standard_atmosphere("us1976", index="gyer")
@@ -99,10 +94,10 @@ def ray_weights(
     (60.6689, 0.6065)
     """
 
-    def each_by_itself(height_m: Array) -> Array:
-        return np.eye(height_m.size)
+    def identity(height_m: Array) -> Array:
+        return np.eye(height_m.size)  # dN at a height by N at that height alone
 
-    weights, _ = _derivatives(profile, (h_c, h_g, zeta_c, radius), each_by_itself)
+    weights, _ = _derivatives(profile, (h_c, h_g, zeta_c, radius), identity)
     return weights
 
 
@@ -123,8 +118,9 @@ def sensitivity(
     Valid for rays that have an angle and do not turn on their way, down to 1 mm of n r from being
     level (2e-7 deg at 10 km over sea level), where the derivatives become infinite. R_c is linear
     only in changes that move n r by less than its distance from there: 1 K moves it by some 6 m.
-    Of two crossings of h_g the near one is meant. A camera or target where layers meet has the
-    derivatives on the ray's side. Raises `PhysicsError` for an anchor outside the profile.
+    If a ray crosses h_g twice, the derivatives are those of the near crossing. A camera or target
+    where layers meet has the derivatives on the ray's side. Raises `PhysicsError` for an anchor
+    outside the profile.
 
     Against differences in 30-digit arithmetic: 3e-10 of the largest derivative of a kind, 1e-9
     within 1 cm of level; dR_c/dzeta_c to 1e-15 beyond that.
@@ -135,8 +131,8 @@ def sensitivity(
     >>> (s.d_temperature[1, :3] * 1e9).round(3).tolist(), (s.d_h_g * 1e9).round(4).tolist()
     ([0.0, -413.824, 58.604], [-0.0, -11.8448])
     """
-    air = partial(air_jacobian, profile, anchor_height_m=anchor_height_m)
-    traced, by_place = _derivatives(profile, (h_c, h_g, zeta_c, radius), air)
+    jacobian_at = partial(air_jacobian, profile, anchor_height_m=anchor_height_m)
+    traced, by_place = _derivatives(profile, (h_c, h_g, zeta_c, radius), jacobian_at)
     edges = profile.layers.edge.size
     d_log_pressure = traced.weight[..., edges]
     return Sensitivity(
@@ -155,32 +151,33 @@ def sensitivity(
 
 
 def _derivatives(
-    profile: Profile, rays: tuple[ArrayLike, ...], air_of: Callable[[Array], Array]
+    profile: Profile, rays: tuple[ArrayLike, ...], jacobian_at: Callable[[Array], Array]
 ) -> tuple[RayWeights, Array]:
     """Derivatives of R_c by the air, and (..., 3) by h_c, h_g [rad/m] and zeta_c.
 
-    ``rays`` are h_c, h_g, zeta_c and the radius, which broadcast. ``air_of`` takes heights (n,) [m]
-    to the derivatives of N there by k quantities, (n, k): the ``weight`` returned is (..., k).
+    ``rays`` are h_c, h_g, zeta_c and the radius, which broadcast. ``jacobian_at`` is a function of
+    heights (n,) [m] that returns the derivatives (n, k) of N there by k quantities; the returned
+    ``weight`` (..., k) is by these quantities.
     """
     shape, columns = as_columns(*rays)
-    every_ray, status = _bent_rays(profile, columns)
-    traced = _rays_to_trace(every_ray, status)
-    pieces = _pieces_of_rays(profile, every_ray.rows(traced))
+    all_rays, status = _bent_rays(profile, columns)
+    traced = _rays_to_trace(all_rays, status)
+    pieces = _pieces_of_rays(profile, all_rays.rows(traced))
     height_m = pieces.height_m.reshape(-1)
-    air = air_of(height_m)
+    jacobian = jacobian_at(height_m)
     count = status.size
-    gradient = np.full((count, air.shape[1]), np.nan)
+    gradient = np.full((count, jacobian.shape[1]), np.nan)
     by_place = np.full((count, 3), np.nan)
     valid = np.zeros(count, dtype=bool)
     for rows in _blocks(traced, pieces):
-        adjoints = trace_adjoints(pieces, every_ray.rows(rows))
-        gradient[rows] = adjoints.weight @ air
+        adjoints = trace_adjoints(pieces, all_rays.rows(rows))
+        gradient[rows] = adjoints.weight @ jacobian
         by_place[rows] = adjoints.by_place
         valid[rows] = adjoints.valid
     derivatives = RayWeights(
         height_m=height_m,
-        weight=gradient.reshape(*shape, air.shape[1]),
-        r_c=every_ray.r_c.reshape(shape),
+        weight=gradient.reshape(*shape, jacobian.shape[1]),
+        r_c=all_rays.r_c.reshape(shape),
         status=status.reshape(shape),
         valid=valid.reshape(shape),
     )
@@ -188,9 +185,9 @@ def _derivatives(
 
 
 def _bent_rays(profile: Profile, columns: list[Array]) -> tuple[Rays, NDArray[np.uint8]]:
-    """Rays with their refraction angles, and the status of each, as `bend` has it.
+    """Rays with their refraction angles, and the status of each, as from `bend`.
 
-    ``columns`` are h_c, h_g, zeta_c and the radius (n,).
+    ``columns`` are h_c, h_g, zeta_c and the radius, each (n,).
     """
     rays = Rays(
         h_c=columns[0],
@@ -213,7 +210,7 @@ def _bent_rays(profile: Profile, columns: list[Array]) -> tuple[Rays, NDArray[np
 
 
 def _pieces_of_rays(profile: Profile, rays: Rays) -> Pieces:
-    """The pieces of the profile that rays pass; the lowest one if there are no rays."""
+    """The pieces of the profile that rays pass; the lowest piece if there are no rays."""
     low = profile.bottom_m
     high = profile.bottom_m
     if rays.h_c.size:
@@ -224,17 +221,17 @@ def _pieces_of_rays(profile: Profile, rays: Rays) -> Pieces:
 
 
 def _blocks(traced: Rows, pieces: Pieces) -> Iterator[Rows]:
-    """Blocks of rays that are traced at a time."""
-    nodes_of_ray = len(pieces.height_m) * MOST_STEPS_OF_PIECE
-    rays_at_once = max(1, _BLOCK // nodes_of_ray)
+    """The row numbers ``traced`` in blocks of rays with at most `_NODES_AT_ONCE` nodes together."""
+    nodes_of_ray = len(pieces.height_m) * MOST_NODES_OF_PIECE
+    rays_at_once = max(1, _NODES_AT_ONCE // nodes_of_ray)
     for first in range(0, traced.size, rays_at_once):
         yield traced[first : first + rays_at_once]
 
 
 def _rays_to_trace(rays: Rays, status: NDArray[np.uint8]) -> Rows:
-    """The rays that have an angle and do not turn on their way.
+    """Row numbers of the rays that have an angle and do not turn on their way.
 
-    The steepest are first: blocks of them need fewer nodes.
+    Sorted by steepness, the steepest first: blocks of steep rays need fewer nodes.
     """
     has_angle = np.isin(status, (OK, BEYOND_GRAZING))
     turns = (rays.h_g > rays.h_c) & (np.cos(rays.zeta_c) > 0.0)

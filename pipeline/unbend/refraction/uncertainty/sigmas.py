@@ -5,16 +5,17 @@ the profile a ray errs by tan(zeta) times v = mean of a over the way - a_c, a = 
 
 Behind a plane window N_c also turns the ray there, by tan(theta) (dN_cc - dN_c) away from the
 window's normal, theta the ray's angle to it (Gyer 1996, Eq. 36). Where the normal is vertical N_c
-cancels, and what is left is tan(zeta) times
+cancels, and the remaining error is tan(zeta) times
 
     x = mean of a over the way - a_cc,
 
-a_cc = dN_cc/dx the response of the air in the cabin. Elsewhere y = a_c - a_cc remains by as much as
-the normal leans; the tables (`air_tables`) hold sigma of x, how x and y go together, and sigma of
-y. The sphere changes x by less than 1 % up to 80 degrees and by 4 % at 85, and is left out there.
+a_cc = dN_cc/dx the response of the air in the cabin. Where the normal leans, y = a_c - a_cc remains
+too, in proportion to the lean; the tables (`air_tables`) contain sigma of x, the covariance of x
+and y over sigma of y, and sigma of y. The sphere changes x by less than 1 % up to 80 degrees and by
+4 % at 85; that is neglected.
 
-Of the leading mode of the covariance (`leading_mode`) they hold v and y themselves, with their
-signs; the sphere adds to v, and a ray turns by R's part and that of y at the window.
+Of the leading mode of the covariance (`leading_mode`) the tables contain v and y themselves, with
+their signs; the sphere adds to v, and a ray turns by v as part of R and by y at the window.
 """
 
 from __future__ import annotations
@@ -32,20 +33,20 @@ from unbend.refraction.window import SCHEDULE_PRESSURE_PA, SCHEDULE_TEMPERATURE_
 from unbend.units import Array, Integers, Rows
 
 # Kinds of windows.
-OPEN = 0  # none that bends
+OPEN = 0  # no window that bends rays
 SEALED = 1  # plane, with air behind it that does not depend on that outside
-SCHEDULED = 2  # with Gyer's schedule where the cabin is as thin as the air outside
-FOLLOWING = 3  # an opening: the air differs from that outside by what does not depend on it
+SCHEDULED = 2  # plane, with Gyer's cabin schedule, where the cabin has the pressure outside
+FOLLOWING = 3  # an opening: N behind it less N outside does not depend on the air outside
 
-_LOG_PRESSURE_STEP = 1e-3  # of differences
+_LOG_PRESSURE_STEP = 1e-3  # in ln p, of the central differences
 _SMALLEST_EIGENVALUE = 1e-12  # of the largest: smaller ones are rounding
 
 
 def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
-    """(n,) change of N in the cabin with ln p outside, at heights of cameras (n,) [m].
+    """(n,) derivative of N in the cabin by ln p outside, for cameras at heights ``h`` (n,) [m].
 
-    Zero but for `SCHEDULED`, where the pressure in the cabin is that outside and its temperature
-    21.1 degC; central differences, good to 1e-6 of it.
+    ``kind`` is that of the window. Zero except for `SCHEDULED`, where the pressure in the cabin is
+    that outside and the temperature 21.1 degC; central differences, good to 1e-6 of the value.
     """
     if kind != SCHEDULED:
         return np.zeros(h.shape)
@@ -59,10 +60,14 @@ def cabin_response(profile: Profile, h: Array, kind: int) -> Array:
 
 
 def window_kind_of(pressure_pa: Array, *, scheduled: bool) -> Integers:
-    """(n,) the kind from behind a plane window at cameras in outside air of ``pressure_pa``."""
+    """(n,) kinds of plane windows at cameras in air of the pressure ``pressure_pa`` (n,) outside.
+
+    `SCHEDULED` where the cabin follows Gyer's schedule (``scheduled``) and the pressure outside is
+    above `SCHEDULE_PRESSURE_PA`, so that the cabin has it too; else, and for NaN, `SEALED`.
+    """
     with np.errstate(invalid="ignore"):
-        thin = scheduled & (pressure_pa > SCHEDULE_PRESSURE_PA)
-    return np.where(thin, SCHEDULED, SEALED)
+        has_outside_pressure = scheduled & (pressure_pa > SCHEDULE_PRESSURE_PA)
+    return np.where(has_outside_pressure, SCHEDULED, SEALED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +76,8 @@ class AirMode:
 
     ``state`` (2k + 1,) is what one sigma of s adds to the quantities of `ProfileCovariance.matrix`.
     The unit of s, and of ``sigma``, is the refraction: s = 0.01 turns rays by 1 % of it, on the
-    average. ``variance_share`` is that of the variance that the air gives the rays it is found of.
+    average. ``variance_share`` is the share that the mode has in the variance, by the air, of the
+    rays from which the mode is computed.
     """
 
     state: Array
@@ -81,14 +87,17 @@ class AirMode:
 
 @dataclass(frozen=True, eq=False)
 class CovarianceRoot:
-    """A covariance as ``matrix`` L, L L^T = C, and the ``anchor_m`` [m] its pressure refers to."""
+    """A root of the covariance C of the air: ``matrix`` is L with L L^T = C.
+
+    ``anchor_m`` [m] is the height to which the pressure of the covariance refers.
+    """
 
     matrix: Array
     anchor_m: float
 
     @classmethod
     def of(cls, covariance: ProfileCovariance) -> CovarianceRoot:
-        """By eigenvalues; those that rounding left below zero are zero."""
+        """The root by eigenvalues of the correlation; eigenvalues of rounding size are omitted."""
         variance = np.maximum(np.diag(covariance.matrix), 0.0)
         sigma = np.sqrt(variance)
         scale = np.where(sigma > 0.0, sigma, 1.0)
@@ -100,7 +109,10 @@ class CovarianceRoot:
         return cls(np.asarray(matrix), covariance.anchor_height_m)
 
     def with_mode_first(self, mode: AirMode | None) -> CovarianceRoot:
-        """The same with what one sigma of the leading mode adds as a further, first column."""
+        """This root with a further, first column: the state of one sigma of the leading mode.
+
+        The column is zero without a mode.
+        """
         first = np.zeros(len(self.matrix))
         if mode is not None:
             first = mode.state
@@ -109,7 +121,11 @@ class CovarianceRoot:
 
 
 def window_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
-    """(n, r) rows whose products are the covariances of y at cameras of heights ``h`` (n,) [m]."""
+    """(n, r) changes of y = a_c / n_c - a_cc by the columns of ``root``, each one sigma.
+
+    For cameras at heights ``h`` (n,) [m] behind windows of one ``kind``. The products of the rows
+    are the covariances of y.
+    """
     air = air_jacobian(profile, h, root.anchor_m)
     n = 1.0 + profile.refractivity(h)
     outside = (air / n[:, None]) @ root.matrix
@@ -118,9 +134,10 @@ def window_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -
 
 
 def cabin_errors(profile: Profile, root: CovarianceRoot, h: Array, kind: int) -> Array:
-    """(n, r) what the errors of the air do to the cabin's N.
+    """(n, r) changes of N in the cabin by the columns of ``root``, each one sigma.
 
-    To that of an opening what they do outside, but for some percent by which it is thinner.
+    For cameras at heights ``h`` (n,) [m] behind windows of one ``kind``. Behind an opening N
+    changes as outside; that the air there is some percent thinner is neglected.
     """
     if kind == FOLLOWING:
         air = air_jacobian(profile, h, root.anchor_m)
@@ -141,11 +158,11 @@ PARTIALS = ("dx_ds_px", "dy_ds_px", "dx_dncc_px", "dy_dncc_px")
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """All that turns corrections into standard deviations; made by `uncertainty_of`.
+    """Tables from which the standard deviations of corrections follow; made by `uncertainty_of`.
 
-    ``tables`` of sigma_R; ``stations`` (s, 19) columns `REFRACTIVITY` to `LENS_SIGMAS` of
+    ``tables`` of sigma_R; ``stations`` (s, 19), columns `REFRACTIVITY` to `LENS_SIGMAS` of
     `unbend.refraction.kernels.columns`; ``mode`` the leading mode of the air's covariance, None
-    where that is not known.
+    where the covariance is not known.
     """
 
     tables: AirTables
@@ -153,7 +170,10 @@ class Uncertainty:
     mode: AirMode | None = None
 
     def with_scale(self, sigma: float) -> Uncertainty:
-        """The same with another unit of the mode's parameter, in which its sigma is this."""
+        """The same uncertainty with another unit of the mode's parameter s.
+
+        ``sigma`` is one sigma of the mode in the new unit. Without a mode it is returned unchanged.
+        """
         if self.mode is None:
             return self
         tables = self.tables._replace(mode_sigma=sigma)
@@ -167,7 +187,7 @@ class Sigmas(NamedTuple):
     ``r_c_rad`` and ``air_*`` are common to the block: they must not be added to the weights of
     observations. ``station_*`` are common to an image, ``ground_*`` to a point, ``r_cc_rad`` and
     ``cabin_*`` (by the air behind the window) to a camera. dx and dy of one kind are fully
-    correlated but for ``station_*`` and ``cabin_*``. The derivatives are those of the corrected (or
+    correlated, except ``station_*`` and ``cabin_*``. The derivatives are those of the corrected (or
     displaced) pixels: ``dx_ds_px``, ``dy_ds_px`` by the parameter s of the air's leading mode,
     ``dx_dncc_px``, ``dy_dncc_px`` by the refractivity behind a plane window, NaN without one.
     """
@@ -188,36 +208,36 @@ class Sigmas(NamedTuple):
     dy_dncc_px: Single
 
     @classmethod
-    def room(cls, n: int) -> Sigmas:
-        """For n observations, to be filled."""
+    def allocate(cls, n: int) -> Sigmas:
+        """Arrays for n observations, not initialized."""
         singles = np.empty((len(cls._fields) - 1, n), np.float32)
         return cls(np.empty(n), *singles)
 
     @classmethod
     def unknown(cls, n: int) -> Sigmas:
-        """Of n observations of which nothing is known."""
-        nothing = cls.room(n)
-        for values in nothing:
+        """Arrays of NaN for n observations."""
+        sigmas = cls.allocate(n)
+        for values in sigmas:
             values.fill(np.nan)
-        return nothing
+        return sigmas
 
     @classmethod
     def column_names(cls) -> list[str]:
-        """The names of columns of tables, in the order of the fields."""
+        """The names of the arrays as columns of tables, in the order of the fields."""
         names = []
         for field in cls._fields:
             names.append(field if field in PARTIALS else f"sigma_{field}")
         return names
 
     def named(self) -> dict[str, Any]:
-        """The arrays by the names of columns of tables."""
+        """The arrays by their names in tables, `column_names`."""
         return dict(zip(self.column_names(), self, strict=True))
 
     def rows(self, which: Rows | slice) -> Sigmas:
-        """Some of the rows; those of a slice can be filled."""
+        """The rows with the numbers ``which``, or of a slice: a slice gives views, to be filled."""
         return Sigmas._make(values[which] for values in self)
 
     def put(self, rows: Rows, part: Sigmas) -> None:
-        """Fill some rows in."""
+        """Set the rows with the numbers ``rows`` to the values of ``part``, in place."""
         for name, values in self._asdict().items():
             values[rows] = getattr(part, name)
