@@ -160,7 +160,7 @@ def test_a_pipe_among_results_is_not_read(tmp_path):
     with refused("MANIFEST-UNREADABLE") as refusal:
         read_manifest(tmp_path)
     refusal.match("it is not a file")
-    assert read_manifest(tmp_path, damaged=True) is None
+    assert read_manifest(tmp_path, ignore_damaged=True) is None
     assert head_of(tmp_path / "campaign.html") == ""
     assert not is_page_ours(tmp_path, ["campaign.parquet"])
     assert find_unchanged(MissionRef.of(tmp_path / "manifest.json")) is None  # as a mission file

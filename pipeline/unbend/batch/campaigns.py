@@ -306,7 +306,7 @@ def row_of_end(
     manifest = None if end is None else end.manifest
     if manifest is None and output is not None:
         try:
-            manifest = read_manifest(output, damaged=True)
+            manifest = read_manifest(output, ignore_damaged=True)
         except StorageError as error:  # in object storage that does not answer
             return row_without(name, None, error.code, error.what)
     return row_of_manifest(name, manifest)
@@ -329,7 +329,7 @@ def row_of_manifest(name: str, manifest: Manifest | None) -> Row:
 def link_to(output: Path | Place, page_folder: Path) -> str:
     """Where the report of a mission lies, as seen from the folder of a page."""
     if isinstance(output, Place):
-        published = read_manifest(output, damaged=True)
+        published = read_manifest(output, ignore_damaged=True)
         attempt = "" if published is None else published.run.attempt
         return f"{output}/attempts/{attempt}"
     target = os.path.realpath(output)

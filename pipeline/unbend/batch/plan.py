@@ -131,7 +131,7 @@ def make_plan(
     """
     output = output_of(mission, folder)
     refuse_among_results("mission", folder, output)
-    earlier = read_manifest(output, damaged=True)
+    earlier = read_manifest(output, ignore_damaged=True)
     records: dict[str, InputRecord] = {}  # of the earlier run, by role; with ``verify`` none
     if earlier is not None and not verify:
         records = {record.role: record for record in earlier.run.inputs}

@@ -21,7 +21,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from unbend.arithmetic import use_same_arithmetic
-from unbend.batch.executors import Bug, Ends, Lost, Outcome, Task, TaskEnd, end_of
+from unbend.batch.executors import Bug, Ends, Lost, Outcome, Task, TaskEnd, run_to_end
 from unbend.batch.other_processes import is_suspended
 from unbend.exit_codes import EXIT_INTERRUPTED
 from unbend.interrupts import end_process, held_back
@@ -189,7 +189,7 @@ def end_with_parent() -> None:
 
 def run_task(task: Callable[[], TaskEnd]) -> TaskEnd:
     """In a process: run a mission; only a receipt of its outcome is sent back."""
-    end = end_of(task)
+    end = run_to_end(task)
     return end.receipt() if isinstance(end, Outcome) else end
 
 

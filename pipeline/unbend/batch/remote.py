@@ -156,10 +156,10 @@ _NEVER = {"e_tag": '"00000000000000000000000000000000"', "version": "1"}
 """A version that no object has."""
 
 
-def read_manifest(place: Place, *, damaged: bool = False) -> Manifest | None:
+def read_manifest(place: Place, *, ignore_damaged: bool = False) -> Manifest | None:
     """The manifest published at a place; None without a manifest.
 
-    A damaged manifest is refused; with ``damaged`` it counts as none.
+    A damaged manifest is refused; with ``ignore_damaged`` None is returned for it.
     """
     file = place / MANIFEST
     content = file.read()[0]
@@ -168,7 +168,7 @@ def read_manifest(place: Place, *, damaged: bool = False) -> Manifest | None:
     try:
         return parse_manifest(content, str(file), of_attempt=True)
     except UnbendError:
-        if damaged:
+        if ignore_damaged:
             return None
         raise
 
@@ -184,16 +184,17 @@ def copy_of_attempt(place: Place, manifest: Manifest) -> Path:
     return fetch(look_up(attempt))
 
 
-def find_damage(place: Place, manifest: Manifest, *, read: bool = True) -> list[str]:
-    """What is missing or changed of a published run, one line each; empty when nothing is.
+def find_damage(place: Place, manifest: Manifest, *, hash_all: bool = True) -> list[str]:
+    """What is missing or changed among the files of a published run, one text each.
 
-    Without ``read`` only sizes are compared: no file of an attempt is written twice.
+    ``hash_all`` reads and hashes all files. Without it only sizes are compared: no file of an
+    attempt is written twice.
     """
     attempt = attempt_of(place, manifest)
     sizes = {name: int(meta["size"]) for name, meta in attempt.objects().items()}
 
     def hash_of(name: str) -> str | None:
-        return (attempt / name).sha256() if read else None
+        return (attempt / name).sha256() if hash_all else None
 
     return damage_of(manifest, sizes, hash_of)
 
@@ -248,7 +249,7 @@ class Publication:
         # Versions of both objects before this run; None for an object that is not there.
         self._version = (place / MANIFEST).read()[1]
         self._run_version = self._run.read()[1]
-        self._before = read_manifest(place, damaged=True)
+        self._before = read_manifest(place, ignore_damaged=True)
 
     def publish(self, folder: Path, manifest: Manifest, advance: Callable[[int], None]) -> Manifest:
         """Upload the results of a folder and publish them; returns the manifest that is then there.
@@ -301,7 +302,7 @@ class Publication:
         for item in manifest.run.outputs:
             (attempt / item.name).put(folder / item.name, "overwrite")
             advance(item.bytes)
-        damage = find_damage(self._place, manifest, read=False)
+        damage = find_damage(self._place, manifest, hash_all=False)
         if damage:
             raise messages.request_failed(
                 url=str(self._place), verb="write", answer=", ".join(damage)
@@ -314,7 +315,7 @@ class Publication:
         """
         deadline = time.monotonic() + _WAIT_S
         while time.monotonic() < deadline:
-            now = read_manifest(self._place, damaged=True)
+            now = read_manifest(self._place, ignore_damaged=True)
             is_same_run = now is not None and now.run.fingerprint == self._fingerprint
             if is_same_run and now != self._before:
                 return now

@@ -202,7 +202,7 @@ def finished_before(plan: Plan, *, force: bool = False) -> Manifest | None:
     A damaged manifest is refused. With ``force`` it is not, and the plan must run in any case. The
     manifest of another mission is always refused.
     """
-    manifest = read_manifest(plan.output, damaged=force)
+    manifest = read_manifest(plan.output, ignore_damaged=force)
     refuse_other_mission(plan, manifest)
     if force or manifest is None or reasons_to_run(plan, manifest):
         return None
@@ -264,7 +264,7 @@ def check_mission(mission: AnyMission, *, progress: Progress | None = None) -> C
 def mission_status(mission: AnyMission) -> tuple[Plan, list[str]]:
     """Why `run_mission` would run a mission now, one reason each; nothing is locked or written."""
     plan = plan_of(mission)
-    manifest = read_manifest(plan.output, damaged=True)
+    manifest = read_manifest(plan.output, ignore_damaged=True)
     refuse_other_mission(plan, manifest)
     if manifest is None:
         return plan, [f"{plan.output} has no results of it"]

@@ -396,10 +396,10 @@ def _undo_commit(path: Path, receipts: set[str]) -> None:
         (path / _PARTS).rmdir()
 
 
-def read_manifest(path: Path, *, damaged: bool = False) -> Manifest | None:
+def read_manifest(path: Path, *, ignore_damaged: bool = False) -> Manifest | None:
     """The manifest of a run's folder; None without a manifest.
 
-    A damaged manifest is refused; with ``damaged`` it counts as none.
+    A damaged manifest is refused; with ``ignore_damaged`` None is returned for it.
     """
     file = path / MANIFEST
     try:
@@ -413,17 +413,17 @@ def read_manifest(path: Path, *, damaged: bool = False) -> Manifest | None:
             raise messages.manifest_unreadable(path=str(file), error=str(error)) from None
         return parse_manifest(content, str(file))
     except StorageError:
-        if damaged:
+        if ignore_damaged:
             return None
         raise
 
 
-def find_damage(path: Path, manifest: Manifest, *, read: bool = True) -> list[str]:
-    """What is missing, changed or too much in a run's folder, one line each; empty when nothing is.
+def find_damage(path: Path, manifest: Manifest, *, hash_all: bool = True) -> list[str]:
+    """What is missing, changed or superfluous in a run's folder, one text each.
 
-    Too much are parts of the observations that the manifest does not name; other files in the
-    folder do not count. Without ``read`` only those results are read that changed after the
-    manifest was written: a run writes its manifest last.
+    Superfluous are parts of the observations that the manifest does not name; other files in the
+    folder do not count. ``hash_all`` reads and hashes all results. Without it only those are read
+    that changed after the manifest was written: a run writes its manifest last.
     """
     names = [item.name for item in manifest.run.outputs]
     names += [f"{_PARTS}/{part.name}" for part in (path / _PARTS).glob("part-*.parquet")]
@@ -437,7 +437,7 @@ def find_damage(path: Path, manifest: Manifest, *, read: bool = True) -> list[st
         finished_ns = (path / MANIFEST).stat().st_mtime_ns
 
     def hash_of(name: str) -> str | None:
-        if read or stats[name].st_mtime_ns >= finished_ns:
+        if hash_all or stats[name].st_mtime_ns >= finished_ns:
             return hash_file(path / name)
         return None  # trusted without reading
 

@@ -98,7 +98,7 @@ def find_unchanged(ref: MissionRef) -> Unchanged | None:
     # A run that is under way, or was interrupted, has a staging folder.
     if os.path.lexists(output / STAGING):
         return None
-    manifest = read_manifest(output, damaged=True)
+    manifest = read_manifest(output, ignore_damaged=True)
     if manifest is None or manifest.run.mission != name:
         return None
     run = manifest.run
@@ -110,7 +110,7 @@ def find_unchanged(ref: MissionRef) -> Unchanged | None:
         return None
     if not all(is_as_recorded(record, ref.folder) for record in run.inputs):
         return None
-    if find_damage(output, manifest, read=False):
+    if find_damage(output, manifest, hash_all=False):
         return None
     return Unchanged(name, output, manifest)
 

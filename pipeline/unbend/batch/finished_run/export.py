@@ -199,7 +199,7 @@ def copy_of_run(place: Place) -> Path:
     manifest = manifest_of_run(place)
     with suppress(FileNotFoundError, InputError):
         copy = remote.copy_of_attempt(place, manifest)
-        if not find_damage(place, manifest, read=False):  # all was there while it was copied
+        if not find_damage(place, manifest, hash_all=False):  # all was there while it was copied
             with store.atomic_write(copy / MANIFEST) as draft:
                 draft.write_text(manifest_text(manifest), encoding="utf-8")
             return copy
