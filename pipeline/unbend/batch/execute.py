@@ -29,8 +29,9 @@ def run_many(
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions; yields how each ended, as soon as it did.
 
-    ``run_mission`` takes a mission as its first argument. A mission whose process dies is run again, alone. If its process dies again, the mission is
-    refused (WORKER-LOST) with the command that repeats it.
+    ``run_mission`` takes a mission as its first argument. A mission whose process dies is run
+    again, alone. If its process dies again, the mission is refused (WORKER-LOST) with the command
+    that repeats it.
     """
     tasks: dict[MissionRef, Task] = {ref: partial(run_mission, ref) for ref in missions}
     lost: dict[MissionRef, Lost] = {}
@@ -103,7 +104,8 @@ def shard_of(shard: str | None) -> slice:
 def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
     """The refusal of each mission that would write its results to the folder of an earlier one.
 
-    ``folders`` are the missions with their output folders or places. Folders are compared after symbolic links are resolved, and on Windows without case.
+    ``folders`` are the missions with their output folders or places. Folders are compared after
+    symbolic links are resolved, and on Windows without case.
     """
     first_of: dict[str, MissionRef] = {}
     refused: dict[MissionRef, UnbendError] = {}

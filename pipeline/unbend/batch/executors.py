@@ -89,7 +89,8 @@ class Executor(Protocol):
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
         """Run the missions; yield how each ended, as soon as it did.
 
-        With ``alone`` they run one by one, otherwise several may run at the same time. Closing the generator stops the missions that have not ended.
+        With ``alone`` they run one by one, otherwise several may run at the same time. Closing the
+        generator stops the missions that have not ended.
         """
 
 

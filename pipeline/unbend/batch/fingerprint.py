@@ -151,7 +151,8 @@ def fingerprint_of(
     """SHA-256 over all that the results of a mission depend on.
 
     ``config`` has the values of the mission file by section, ``versions`` those of `versions_of`,
-    ``inputs`` the hash of each input by its role. ``nulls`` are the keys that the mission file states with null (`config.stated_nulls`).
+    ``inputs`` the hash of each input by its role. ``nulls`` are the keys that the mission file
+    states with null (`config.stated_nulls`).
     """
     sections = dict(config)
     for key in NOT_IN_FINGERPRINT:

@@ -85,10 +85,7 @@ def correct_into(
     total = Statistics.of(setup.cameras)
     with closing(counts_of_missing):
         for number in range(count):
-            if number in finished:
-                statistics = finished[number]
-            else:
-                statistics = next(counts_of_missing)
+            statistics = finished[number] if number in finished else next(counts_of_missing)
             total.merge(statistics)
             progress(statistics.rows)
     return total

@@ -85,7 +85,7 @@ def run(
     ended: dict[MissionRef, MissionEnd] = {}
     apart = jobs > 1 or scheduler is not None
     title = f"{len(chosen.missions)} missions"
-    run_waiting = partial(
+    run_in_executor = partial(
         run_missions,
         answer,
         jobs=jobs,
@@ -93,7 +93,7 @@ def run(
         force=force,
         verify_inputs=verify_inputs,
     )
-    ends = chosen.ends(run_waiting, again=force or verify_inputs)
+    ends = chosen.ends(run_in_executor, run_unchanged=force or verify_inputs)
     with answer.progress(title) if apart else nullcontext(), closing(ends):
         for ref, end in ends:
             ended[ref] = end
