@@ -17,7 +17,7 @@ from unbend.batch import messages, opening, remote, store
 from unbend.batch.differences import reasons_to_run
 from unbend.batch.executors import Outcome
 from unbend.batch.input_files import Input
-from unbend.batch.plan import Plan, fetch_inputs, make_plan, places_named, refuse_other_mission
+from unbend.batch.plan import Plan, fetch_inputs, make_plan, urls_in_refusals, refuse_other_mission
 from unbend.batch.remote import Place
 from unbend.batch.results import read_manifest
 from unbend.batch.run_files import PartsOfRun, correct_into, write_tables
@@ -60,7 +60,7 @@ def run_mission(
     progress = progress or Progress()
     progress.start("hashing the inputs")
     plan = plan_of(mission, verify=verify_inputs)
-    with places_named(plan):
+    with urls_in_refusals(plan):
         if isinstance(plan.output, Place):
             return run_and_publish(plan, place=plan.output, force=force, progress=progress)
         is_repeated, manifest = run_plan(plan, force=force, progress=progress)
