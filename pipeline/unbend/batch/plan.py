@@ -71,7 +71,7 @@ class Plan:
 
     @property
     def folder(self) -> Path:
-        """The folder to write results into: the output, or for a URL a folder in the user's cache."""
+        """The folder that a run writes to: the output, or for a URL one in the user's cache."""
         if isinstance(self.output, Path):
             return self.output
         url = str(self.output)
@@ -173,7 +173,7 @@ def refuse_unreadable(named: NamedInput, place: Path | Place) -> Iterator[None]:
 
 
 def refuse_missing(named: NamedInput, path: Path) -> None:
-    """Refuse a missing input (INPUT-MISSING), and a folder in the place of a file (INPUT-FOLDER)."""
+    """Refuse a missing input (INPUT-MISSING), or a folder in place of a file (INPUT-FOLDER)."""
     if path.is_file() or (path.is_dir() and named.may_be_folder):
         return
     if path.is_dir():

@@ -17,7 +17,7 @@ from unbend.batch import messages, opening, remote, store
 from unbend.batch.differences import reasons_to_run
 from unbend.batch.executors import Outcome
 from unbend.batch.input_files import Input
-from unbend.batch.plan import Plan, fetch_inputs, make_plan, urls_in_refusals, refuse_other_mission
+from unbend.batch.plan import Plan, fetch_inputs, make_plan, refuse_other_mission, urls_in_refusals
 from unbend.batch.remote import Place
 from unbend.batch.results import read_manifest
 from unbend.batch.run_files import PartsOfRun, correct_into, write_tables
