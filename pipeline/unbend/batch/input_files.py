@@ -18,7 +18,7 @@ from unbend.tables.imports.blocks import BLOCKS, block_reader, damage_refused
 from unbend.tables.manifest.run import InputRecord
 
 SETTLED_NS = 2_000_000_000
-"""A file changed within this time may change again and keep its times: FAT counts in steps of 2 s."""
+"""A file changed within this time may change again and keep its times: FAT has steps of 2 s."""
 
 GDAL = "GDAL"
 """The `NamedInput.program` of a raster, with which GDAL reads other files of its folder."""
@@ -94,7 +94,7 @@ def _heights_and_points(mission: Mission) -> Iterator[NamedInput]:
 
 
 def _orientation(mission: Mission) -> Iterator[NamedInput]:
-    """The orientations of the images, and the known positions that relate their frame to the earth."""
+    """The orientations of the images, and the known positions that georeference their frame."""
     section = mission.stations.orientation
     if section is None:
         return
@@ -214,8 +214,8 @@ def record_of(named: NamedInput, files: tuple[Path, ...], states: States) -> Inp
     version : a hash of names, sizes and times of the files; "" for an input that is one file.
     """
     existing = [state for state in states if state is not None]
-    exist_all = bool(existing) and len(existing) == len(states)
-    is_settled = exist_all and all(state.is_settled for state in existing)
+    all_exist = bool(existing) and len(existing) == len(states)
+    is_settled = all_exist and all(state.is_settled for state in existing)
     has_several_files = len(files) > 1 or named.may_be_folder
     return InputRecord(
         role=named.role,

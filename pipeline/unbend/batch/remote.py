@@ -182,7 +182,10 @@ def attempt_of(place: Place, manifest: Manifest) -> Place:
 
 
 def copy_of_attempt(place: Place, manifest: Manifest) -> Path:
-    """Copy the files of a published run; returns their folder. FileNotFoundError if they are gone."""
+    """Copy the files of a published run; returns the folder of the copy.
+
+    Raises FileNotFoundError if the files are gone.
+    """
     attempt = Place.of(f"{attempt_of(place, manifest)}/")
     return fetch(look_up(attempt))
 

@@ -230,7 +230,7 @@ def replace_file(source: Path, target: Path) -> None:
 
 
 def _parts(path: Path) -> list[Path]:
-    """The files of parts of the observations in a folder of results, without files of other names."""
+    """The files in a folder of results that are named like parts of the observations."""
     named = (path / _PARTS).glob("part-*.parquet")
     return [part for part in named if _PART.fullmatch(part.name)]
 
@@ -265,7 +265,7 @@ def would_replace(folder: Path, path: Path) -> bool:
 
 
 def rehearse_folder(path: Path) -> None:
-    """Refuse what `open_folder` would refuse, and a folder without write permission; write nothing."""
+    """Refuse what `open_folder` would, and a folder that cannot be written to; write nothing."""
     # The folder itself, or the nearest parent that exists, in which it would be made.
     nearest = next(folder for folder in (path, *path.parents) if os.path.lexists(folder))
     with storage_errors(path):
@@ -373,7 +373,7 @@ def _clear_interrupted(path: Path, *, resumable: bool) -> None:
     if receipts:
         kept_names = {_RECEIPTS, _KEY, _PARTS}
     if not (path / MANIFEST).exists():
-        # Visible results are then of an interrupted commit: `_refuse_foreign_results` refuses others.
+        # Visible results are then of an interrupted commit: those of others are refused above.
         _undo_commit(path, receipts)
         if os.path.lexists(path / _PARTS):
             # Files of the user are among the parts, so that their folder could not be removed. The
