@@ -130,8 +130,7 @@ def plausible_roles(
 ) -> tuple[dict[str, Channel], list[Proposed]]:
     """The channel of each role without implausible samples, and questions.
 
-    There is a question for each role without plausible samples, such as readings in a wrong unit;
-    the result has no channel of that role.
+    A channel with values in a wrong unit is left out, with a question for its role.
     """
     plausible = {}
     questions = []

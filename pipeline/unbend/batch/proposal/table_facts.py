@@ -116,8 +116,8 @@ def facts_of_table(path: Path) -> TableFacts:
         guessed["point"] = unused[0]
     elif open_quantities:
         remark = (
-            f"its images are not known yet: {', '.join(open_quantities)}: no column has a usual
-            name; " "rename them in the header of the table, and run init again"
+            f"its images are not known yet: {', '.join(open_quantities)}: no column has a usual "
+            "name; rename them in the header of the table, and run init again"
         )
         return TableFacts(remark=remark, columns=keys)
     columns: dict[str, str | None] = {}
