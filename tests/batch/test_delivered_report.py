@@ -9,9 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers import one_line, refused from unbend.batch.finished_run import delivered_report
-from unbend.batch.finished_run.delivered_report import find_browser, print_command,
-output_of_program from unbend.batch.remote import Place from unbend.report.cover import PROCESSED
+from tests.helpers import one_line, refused
+from unbend.batch.finished_run import delivered_report
+from unbend.batch.finished_run.delivered_report import (
+    find_browser,
+    output_of_program,
+    print_command,
+)
+from unbend.batch.remote import Place
+from unbend.report.cover import PROCESSED
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the browsers here are shell scripts")
 

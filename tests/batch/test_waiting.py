@@ -81,8 +81,8 @@ def test_a_process_that_goes_on_in_time_is_not_killed(impatient):
         process.kill_if_suspended()
         os.kill(number, signal.SIGCONT)
         process.kill_if_suspended()
-    assert process.wait_for_end(process.submit(partial(time.sleep, 0))) is None  # type:
-    ignore[arg-type] stop_all([process])
+    assert process.wait_for_end(process.submit(partial(time.sleep, 0))) is None  # type: ignore[arg-type]
+    stop_all([process])
 
 
 @linux
@@ -185,5 +185,5 @@ def test_a_suspended_mission_that_is_suspended_again_is_refused_with_the_reason(
             for mission in tasks:
                 yield mission, Lost(processes.way_of_death(-9, was_suspended=True))
 
-    ((_, end),) = run_many(print, [MissionRef(Path("m.yaml"))], Suspending())  # type:
-    ignore[arg-type] assert str(end).count("stopped (SIGSTOP) for 60 s, so it was killed") == 2
+    ((_, end),) = run_many(print, [MissionRef(Path("m.yaml"))], Suspending())  # type: ignore[arg-type]
+    assert str(end).count("stopped (SIGSTOP) for 60 s, so it was killed") == 2

@@ -68,12 +68,14 @@ def facts_of_log(path: Path) -> LogFacts:
     for role in open_roles:
         questions += questions_of_role(role, log.channels, compartment)
 
-    takeoff = takeoff_remark(plausible, GroundEvidence.of(log.channels)) remarks =
-    [time_remark(log), place_remark(plausible), heights_remark(plausible, takeoff)] decided =
-    [f"{role} {roles[role].name}" for role in roles if role not in open_roles]
+    takeoff = takeoff_remark(plausible, GroundEvidence.of(log.channels))
+    remarks = [time_remark(log), place_remark(plausible), heights_remark(plausible, takeoff)]
+    decided = [f"{role} {roles[role].name}" for role in roles if role not in open_roles]
     remarks.append(f"detected automatically: {', '.join(decided)}")
-    remarks.append(enclosed_remark(enclosed, compartment)) events = channels_of_lowest_rank([channel
-    for channel in log.channels if channel.fits_role("events")]) return LogFacts(
+    remarks.append(enclosed_remark(enclosed, compartment))
+    event_channels = [channel for channel in log.channels if channel.fits_role("events")]
+    events = channels_of_lowest_rank(event_channels)
+    return LogFacts(
         events=events,
         remarks=tuple(filter(None, remarks)),
         roles=tuple(questions),

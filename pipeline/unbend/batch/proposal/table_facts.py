@@ -238,8 +238,8 @@ def extent_of(observations: Observations) -> Extent:
     x = reach_of([batch.x_given_px for batch in batches])
     y = reach_of([batch.y_given_px for batch in batches])
     pixels = (
-        f"99 % of the observations are within {x.most_rows} x {y.most_rows} px, all within
-        {x.all_rows} x " f"{y.all_rows}"
+        f"99 % of the observations are within {x.most_rows} x {y.most_rows} px, all within "
+        f"{x.all_rows} x {y.all_rows}"
     )
     return Extent(pixels, heights_text(batches))
 
