@@ -20,10 +20,10 @@ from unbend.batch.given_air import Air, air_of_stations
 from unbend.batch.opening import (
     KNOWN_POSITIONS,
     columns_of_positions,
+    geographic_places,
     open_inputs,
     open_table,
-    paths_beside_tables,
-    places_beside,
+    paths_of_other_inputs,
     stated_orientation,
 )
 from unbend.config import Mission
@@ -445,7 +445,7 @@ def inputs_of_tables(
     has the values of its camera files filled in.
     """
     in_memory = set() if known_positions is None else {KNOWN_POSITIONS}
-    mission, paths = paths_beside_tables(mission, Path.cwd(), in_memory=in_memory)
+    mission, paths = paths_of_other_inputs(mission, Path.cwd(), in_memory=in_memory)
     path = Path(mission.observations.path)
     observations = open_table(mission, path, ledger, table=observation_table)
     inputs = open_inputs(mission, paths, observations, None, ledger)
@@ -456,7 +456,7 @@ def inputs_of_tables(
     inputs = replace(
         inputs,
         orientation=table,
-        block_places=(*inputs.block_places, *places_beside(station_frame, section)),
+        block_places=(*inputs.block_places, *geographic_places(station_frame, section)),
     )
     if known_positions is not None and isinstance(section.known_positions, KnownPositions):
         columns = columns_of_positions(section.known_positions)

@@ -11,7 +11,11 @@ import pytest
 
 from tests.helpers import one_line, refused
 from unbend.batch.finished_run import delivered_report
-from unbend.batch.finished_run.delivered_report import find_browser, print_command, run_within
+from unbend.batch.finished_run.delivered_report import (
+    find_browser,
+    output_of_program,
+    print_command,
+)
 from unbend.batch.remote import Place
 from unbend.report.cover import PROCESSED
 
@@ -116,7 +120,7 @@ def test_a_browser_that_does_not_print_leaves_nothing(unbend, baseline, tmp_path
 
 def test_no_browser_is_said_with_what_to_do(refusal_of, baseline, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(delivered_report, "_OF_OTHER_SYSTEMS", ())
+    monkeypatch.setattr(delivered_report, "_BROWSERS_OFF_THE_PATH", ())
     out = tmp_path / "r.pdf"
     text = refusal_of("REPORT-BROWSER", 2, "report", baseline.output, "--pdf", "--out", out)
     for words in ("chromium", "--browser", "report.html"):
@@ -129,7 +133,7 @@ def test_no_browser_is_said_with_what_to_do(refusal_of, baseline, tmp_path, monk
 def test_what_a_browser_started_is_ended_with_it(tmp_path):
     script = f"sleep 600 & echo $! > {tmp_path}/child; sleep 600"
     with refused("REPORT-BROWSER") as refusal:
-        run_within([browser(tmp_path, script)], 1.0)
+        output_of_program([browser(tmp_path, script)], 1.0)
     refusal.match("did not end")
     child = int((tmp_path / "child").read_text())
     for _ in range(50):

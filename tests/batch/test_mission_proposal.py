@@ -19,9 +19,9 @@ from unbend.batch.proposal import mission_text
 from unbend.batch.proposal.log_facts import (
     LogFacts,
     cabin_barometers_of,
+    enclosed_remark,
     facts_of_log,
     highest_of,
-    indoors_remark,
     place_remark,
 )
 from unbend.batch.proposal.mission_text import propose_mission
@@ -507,7 +507,7 @@ def test_a_compartment_may_be_a_cabin_from_2_km_on_or_at_unknown_height(
     indoors, highest_m, names, remark
 ):
     cabin_barometers = cabin_barometers_of(indoors, highest_m)
-    text = indoors_remark(indoors, cabin_barometers)
+    text = enclosed_remark(indoors, cabin_barometers)
     assert cabin_barometers == names
     assert text.startswith(remark)
     assert bool(text) == bool(remark)

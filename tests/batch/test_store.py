@@ -58,7 +58,7 @@ def damage_of(folder, *, read=True):
     """What is damaged of the results in a folder, which have a manifest."""
     manifest = read_manifest(folder)
     assert manifest is not None
-    return find_damage(folder, manifest, read=read)
+    return find_damage(folder, manifest, hash_all=read)
 
 
 def test_files_of_the_user_stay(tmp_path):

@@ -36,8 +36,8 @@ pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no nam
 @pytest.fixture
 def impatient(monkeypatch) -> None:
     """Looks often, and gives up after a tenth of a second."""
-    monkeypatch.setattr(processes, "LOOK_S", 0.05)
-    monkeypatch.setattr(processes, "MOST_LOOKS", 2)
+    monkeypatch.setattr(processes, "CHECK_S", 0.05)
+    monkeypatch.setattr(processes, "CHECKS_UNTIL_KILLED", 2)
 
 
 def suspend_once(mark: Path) -> Outcome:
@@ -71,7 +71,7 @@ def test_a_suspended_process_costs_its_mission_one_attempt(tmp_path, impatient):
 def test_a_process_that_goes_on_in_time_is_not_killed(impatient):
     process = MissionProcess(1)
     future = process.submit(partial(time.sleep, 0))  # type: ignore[arg-type]
-    assert process.end(future) is None
+    assert process.wait_for_end(future) is None
     assert process._process is not None
     number = process._process.pid
     assert number is not None
@@ -81,7 +81,7 @@ def test_a_process_that_goes_on_in_time_is_not_killed(impatient):
         process.kill_if_suspended()
         os.kill(number, signal.SIGCONT)
         process.kill_if_suspended()
-    assert process.end(process.submit(partial(time.sleep, 0))) is None  # type: ignore[arg-type]
+    assert process.wait_for_end(process.submit(partial(time.sleep, 0))) is None  # type: ignore[arg-type]
     stop_all([process])
 
 
@@ -89,7 +89,7 @@ def test_a_process_that_goes_on_in_time_is_not_killed(impatient):
 def test_a_worker_of_dask_does_not_wait_for_its_suspended_process(impatient):
     """It waits for a process by `MissionProcess.end` alone."""
     process = MissionProcess(1)
-    end = process.end(process.submit(suspend_always))
+    end = process.wait_for_end(process.submit(suspend_always))
     stop_all([process])
     assert isinstance(end, Lost)
     assert not isinstance(end, Bug)
@@ -160,7 +160,7 @@ def test_a_pipe_among_results_is_not_read(tmp_path):
     with refused("MANIFEST-UNREADABLE") as refusal:
         read_manifest(tmp_path)
     refusal.match("it is not a file")
-    assert read_manifest(tmp_path, damaged=True) is None
+    assert read_manifest(tmp_path, ignore_damaged=True) is None
     assert head_of(tmp_path / "campaign.html") == ""
     assert not is_page_ours(tmp_path, ["campaign.parquet"])
     assert find_unchanged(MissionRef.of(tmp_path / "manifest.json")) is None  # as a mission file

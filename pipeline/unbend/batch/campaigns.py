@@ -30,12 +30,12 @@ PAGE = "campaign.html"
 TABLE = "campaign.parquet"
 MARK = '<meta name="generator" content="unbend campaign">'
 
-_HEAD_CHARACTERS = 2000  # at the beginning of a page; its mark and its digest stand there
+_HEAD_CHARACTERS = 2000  # at the beginning of a page, which contain its mark and its digest
 _MOST_LISTED = 20  # names that a refusal lists
 
 
 class NamedMission(NamedTuple):
-    """A mission with its name and where its results go."""
+    """A mission with its name and the folder or place of its results."""
 
     ref: MissionRef
     name: str
@@ -43,7 +43,7 @@ class NamedMission(NamedTuple):
 
 
 @dataclass(frozen=True)
-class KnownMission:
+class UnchangedMission:
     """A mission that need not run, because its results are there and nothing changed.
 
     ``exit_code`` is that of the run that made the results. ``row`` is the mission's row of a
@@ -58,56 +58,56 @@ class KnownMission:
 
 @dataclass(frozen=True)
 class Selection:
-    """The missions that a command chose, their campaigns, and what is known before any runs.
+    """The missions that a command chose, their campaigns, and which of them need not run.
 
     missions : the chosen missions.
     campaigns : the campaigns of the files, with all their missions, chosen or not.
-    named : name and output of each mission of the files that can be read.
-    refused : missions whose results would go to the folder of an earlier mission.
-    known : missions that are unchanged.
+    named : name and output of each mission with a file that can be read, chosen or not.
+    refused : missions that would write their results to the folder of an earlier mission.
+    unchanged : missions that need not run, chosen or not.
     """
 
     missions: tuple[MissionRef, ...]
     campaigns: tuple[Campaign, ...]
     named: Mapping[MissionRef, NamedMission]
     refused: Mapping[MissionRef, UnbendError]
-    known: Mapping[MissionRef, KnownMission]
+    unchanged: Mapping[MissionRef, UnchangedMission]
 
     def is_unchanged(self, ref: MissionRef) -> bool:
         """Whether a mission is unchanged, so that it need not run."""
-        return ref in self.known
+        return ref in self.unchanged
 
     def ends(
         self,
         run: Callable[[list[MissionRef]], Iterable[tuple[MissionRef, MissionEnd]]],
         *,
-        again: bool = False,
+        run_unchanged: bool = False,
     ) -> Generator[tuple[MissionRef, MissionEnd]]:
         """Yield how each chosen mission ended: refused and unchanged ones first, then the others.
 
-        The others are handed to ``run`` together; with ``again`` unchanged missions are among them.
+        The others are passed to ``run`` together. ``run_unchanged`` passes unchanged missions too.
         """
-        waiting = []
+        to_run = []
         for ref in self.missions:
             if ref in self.refused:
                 yield ref, self.refused[ref]
-            elif again or ref not in self.known:
-                waiting.append(ref)
+            elif run_unchanged or ref not in self.unchanged:
+                to_run.append(ref)
             else:
-                yield ref, self._repeated(self.known[ref])
-        if waiting:
-            yield from run(waiting)
+                yield ref, self._outcome_of_unchanged(self.unchanged[ref])
+        if to_run:
+            yield from run(to_run)
 
-    def _repeated(self, known: KnownMission) -> Outcome:
-        """The outcome of an unchanged mission, with its manifest if it is the only mission."""
+    def _outcome_of_unchanged(self, mission: UnchangedMission) -> Outcome:
+        """The outcome of an unchanged mission, with its manifest if it is the only chosen one."""
         manifest = None
         if len(self.missions) == 1:  # of several missions no manifest is shown
-            manifest = read_manifest(known.output)
+            manifest = read_manifest(mission.output)
         return Outcome(
-            name=known.name,
-            output=known.output,
+            name=mission.name,
+            output=mission.output,
             manifest=manifest,
-            exit_code=known.exit_code,
+            exit_code=mission.exit_code,
             repeated=True,
         )
 
@@ -122,92 +122,97 @@ def select_missions(
     """Choose among the missions of mission files and campaign files.
 
     ``names`` are names or files of missions; without names all missions are chosen. ``part`` is
-    the share of one of several jobs in these. ``writes`` says whether pages will be written.
+    the slice of these missions that this job of several runs. ``writes`` : the command will write
+    the pages of campaigns.
 
     Refuses (ConfigError) missions of a campaign with the same name or the same results, and
-    (CAMPAIGN-MISSION) a name that no mission has; with ``writes`` also (STORAGE-NOT-OURS) a
-    campaign whose page another program wrote.
+    (CAMPAIGN-MISSION) a name that no mission has; with ``writes`` also (STORAGE-NOT-OURS) to
+    replace a page that another program wrote.
     """
     missions, campaigns = open_configs(configs)
     will_write_pages = writes and bool(campaigns)
-    known_runs = known_missions(missions, with_rows=will_write_pages)
-    listed = list(named_missions(missions, known_runs))
+    unchanged = unchanged_missions(missions, with_rows=will_write_pages)
+    named = list(named_missions(missions, unchanged))
     for campaign in campaigns:
         members = set(campaign.missions)
-        refuse_duplicates(campaign, [mission for mission in listed if mission.ref in members])
+        refuse_duplicates(campaign, [mission for mission in named if mission.ref in members])
         if writes:
             refuse_foreign_page(campaign.output)
     chosen = missions
     if names:
-        chosen = missions_called(names, listed)
+        chosen = missions_by_name(names, named)
     return Selection(
         missions=tuple(chosen[part]),
         campaigns=tuple(campaigns),
-        named={mission.ref: mission for mission in listed},
-        refused=shared_outputs((mission.ref, mission.output) for mission in listed),
-        known=known_runs,
+        named={mission.ref: mission for mission in named},
+        refused=shared_outputs((mission.ref, mission.output) for mission in named),
+        unchanged=unchanged,
     )
 
 
-def known_missions(
+def unchanged_missions(
     missions: Iterable[MissionRef], *, with_rows: bool
-) -> dict[MissionRef, KnownMission]:
-    """The missions that are unchanged, ``with_rows`` with their rows of a page."""
-    known_runs = {}
+) -> dict[MissionRef, UnchangedMission]:
+    """The missions that are unchanged; ``with_rows`` adds the row of each on a campaign's page."""
+    unchanged = {}
     for ref in missions:
-        unchanged = find_unchanged(ref)
-        if unchanged is None:
+        result = find_unchanged(ref)
+        if result is None:
             continue
-        exit_code = unchanged.manifest.run.exit_code
-        # A manifest without the values of a row is an older version's: the mission is then not
-        # known to be unchanged, and takes the full comparison.
+        exit_code = result.manifest.run.exit_code
+        # A manifest without the values of a row is an older version's. Its mission is left out, and
+        # takes the full comparison.
         with suppress(UnbendError):
-            row = row_of(unchanged.manifest) if with_rows else None
-            known_runs[ref] = KnownMission(unchanged.name, unchanged.output, exit_code, row)
-    return known_runs
+            row = row_of(result.manifest) if with_rows else None
+            unchanged[ref] = UnchangedMission(result.name, result.output, exit_code, row)
+    return unchanged
 
 
 def named_missions(
-    missions: Iterable[MissionRef], known: Mapping[MissionRef, KnownMission]
+    missions: Iterable[MissionRef], unchanged: Mapping[MissionRef, UnchangedMission]
 ) -> Iterator[NamedMission]:
-    """Missions whose files can be read, with their names and outputs."""
+    """Missions with their names and outputs; a mission is left out if its file cannot be read."""
     for ref in missions:
-        if ref in known:
-            yield NamedMission(ref, known[ref].name, known[ref].output)
+        if ref in unchanged:
+            yield NamedMission(ref, unchanged[ref].name, unchanged[ref].output)
             continue
         with suppress(UnbendError):  # raised again, and reported, when the mission is run
             mission = ref.load()
             yield NamedMission(ref, mission.mission.name, output_of(mission, ref.folder))
 
 
-def missions_called(names: Sequence[str], listed: Sequence[NamedMission]) -> list[MissionRef]:
-    """The missions of some names or files; refuses (CAMPAIGN-MISSION) a name that none has."""
+def missions_by_name(names: Sequence[str], missions: Sequence[NamedMission]) -> list[MissionRef]:
+    """The missions with the given names or files, in the order of ``missions``.
+
+    Refuses (CAMPAIGN-MISSION) a name that no mission has.
+    """
     wanted = set(names)
-    not_met = set(names)
+    without_mission = set(names)
     chosen = []
-    for mission in listed:
+    for mission in missions:
         argument = mission.ref.run_arguments[-1]  # the file; or the name, in a campaign
         names_of_mission = {mission.name, argument}
         if names_of_mission & wanted:
             chosen.append(mission.ref)
-        not_met -= names_of_mission
-    if not_met:
-        known_names = sorted(mission.name for mission in listed)
-        raise messages.no_such_mission(name=next(iter(not_met)), known=known_names[:_MOST_LISTED])
+        without_mission -= names_of_mission
+    if without_mission:
+        name = next(iter(without_mission))
+        all_names = sorted(mission.name for mission in missions)
+        raise messages.no_such_mission(name=name, known=all_names[:_MOST_LISTED])
     return chosen
 
 
 def refuse_foreign_page(output: Path) -> None:
-    """Refuse (STORAGE-NOT-OURS) to replace a page or table that no campaign has written."""
+    """Refuse (STORAGE-NOT-OURS) to replace a page or table that unbend did not write."""
     present = [name for name in (PAGE, TABLE) if (output / name).exists()]
     if present and not is_page_ours(output, present):
         raise messages.files_not_ours(path=str(output), results=present)
 
 
 def is_page_ours(output: Path, present: Sequence[str]) -> bool:
-    """Whether a campaign wrote the page, or the table if only that is there.
+    """Whether unbend wrote the page of a campaign, or its table if there is no page.
 
-    ``present`` are the names of those that are there, one at least.
+    ``present`` are the names of the two files that are in the folder ``output``, at least one.
     """
     if PAGE in present:
         return MARK in head_of(output / PAGE)
@@ -223,9 +228,10 @@ def is_page_ours(output: Path, present: Sequence[str]) -> bool:
 
 
 def write_pages(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> Iterator[Path]:
-    """Write page and table of each campaign, unless both are there and say the same already.
+    """Write page and table of each campaign, unless both exist with the same content.
 
-    Yields the path of each campaign's page. The page holds the digest of all that it is made of.
+    Yields the path of each campaign's page. The content is compared by a digest of all that the
+    page is made of, which the page contains.
     """
     for campaign in chosen.campaigns:
         rows = [page_row(chosen, ref, ended.get(ref), campaign.output) for ref in campaign.missions]
@@ -238,7 +244,7 @@ def write_pages(chosen: Selection, ended: Mapping[MissionRef, MissionEnd]) -> It
 
 
 def head_of(page: Path) -> str:
-    """The beginning of a page, with its mark and digest; "" of a page that cannot be read."""
+    """The beginning of a page, with its mark and digest; "" if the page cannot be read."""
     if not page.is_file():  # reading a pipe might never end
         return ""
     try:
@@ -261,9 +267,10 @@ def write_page(campaign: Campaign, rows: Sequence[Row], digest: str) -> None:
 
 
 def page_row(chosen: Selection, ref: MissionRef, end: MissionEnd | None, page_folder: Path) -> Row:
-    """What a campaign's page shows of a mission, with a link to its results if these have a place.
+    """The row of a mission on a campaign's page, with a link to its results.
 
-    ``end`` is how the mission ended; None for a mission that this command did not run.
+    ``end`` is how the mission ended; None for a mission that this command did not run. The row has
+    no link if the mission file cannot be read.
     """
     name = ref.label
     output: Path | Place | None = None
@@ -292,13 +299,14 @@ def row_of_end(
 ) -> Row:
     """The row of a mission that ended in this command, or in an earlier one, or never ran.
 
-    The manifest at ``output`` is read only where neither ``end`` nor ``chosen`` has what it says.
+    ``end`` is None for a mission that did not end in this command. Reading the manifest at
+    ``output`` is the last resort, as it takes time: ``end`` or ``chosen`` may have its values.
     """
     has_not_run_now = end is None or (isinstance(end, Outcome) and end.repeated)
-    if has_not_run_now and ref in chosen.known:
-        known_row = chosen.known[ref].row
-        if known_row is not None:
-            return known_row
+    if has_not_run_now and ref in chosen.unchanged:
+        row = chosen.unchanged[ref].row
+        if row is not None:
+            return row
     if isinstance(end, UnbendError):
         return row_without(name, end.exit_code, end.code, end.what)
     if isinstance(end, Bug):
@@ -306,16 +314,16 @@ def row_of_end(
     manifest = None if end is None else end.manifest
     if manifest is None and output is not None:
         try:
-            manifest = read_manifest(output, damaged=True)
+            manifest = read_manifest(output, ignore_damaged=True)
         except StorageError as error:  # in object storage that does not answer
             return row_without(name, None, error.code, error.what)
     return row_of_manifest(name, manifest)
 
 
 def row_of_manifest(name: str, manifest: Manifest | None) -> Row:
-    """The row of a mission by the manifest in its folder.
+    """The row of a mission called ``name``, from the manifest in its output folder.
 
-    Without a manifest, or with that of a mission of another name, the row says that the mission
+    Without a manifest, or with that of a mission of another name, the row states that the mission
     has no results yet.
     """
     if manifest is None or manifest.run.mission != name:
@@ -327,9 +335,13 @@ def row_of_manifest(name: str, manifest: Manifest | None) -> Row:
 
 
 def link_to(output: Path | Place, page_folder: Path) -> str:
-    """Where the report of a mission lies, as seen from the folder of a page."""
+    """The link from a campaign's page to the results of a mission.
+
+    It is a path relative to the folder of the page, or the URL of the published files. Another
+    drive of Windows gives an absolute path.
+    """
     if isinstance(output, Place):
-        published = read_manifest(output, damaged=True)
+        published = read_manifest(output, ignore_damaged=True)
         attempt = "" if published is None else published.run.attempt
         return f"{output}/attempts/{attempt}"
     target = os.path.realpath(output)
@@ -339,7 +351,10 @@ def link_to(output: Path | Place, page_folder: Path) -> str:
 
 
 def run_chosen(ref: MissionRef, **options: Any) -> Outcome:
-    """Run a mission. The import takes a second, and only in the process that runs missions."""
+    """Run a mission; ``options`` are those of `run_mission`.
+
+    The import takes a second, and so is done only in the process that runs missions.
+    """
     from unbend.batch.runs import run_mission
 
     return run_mission(ref, **options)

@@ -1,6 +1,7 @@
-"""What is asked of a Dask cluster within a time: a process that was stopped never answers.
+"""Questions to a Dask cluster with a time limit, because a process that was stopped never answers.
 
-A machine that swaps, a network that is cut, or SIGSTOP: the connection stays, and nothing comes.
+On a machine that swaps, in a network that is cut, or after SIGSTOP the connection stays open, and
+no answer comes.
 """
 
 from __future__ import annotations
@@ -14,32 +15,35 @@ from typing import Any, NamedTuple
 from unbend.batch.waiting import within
 
 ANSWER_S = 60.0
-"""How long a worker, or a scheduler, may take to answer a question that costs nothing."""
+"""How long a worker or a scheduler may take for an answer that needs no work."""
 
 
 Client = Any  # of `distributed`, which has no types
 
 
 def answers_of_workers(
-    client: Client, workers: Sequence[str], seconds: float, question: Callable[[], Any]
+    client: Client, workers: Sequence[str], seconds: float, function: Callable[[], Any]
 ) -> dict[str, Any]:
-    """What a question returns on each worker, or its error; without those that do not answer."""
+    """Call a function on each worker; returns its result, or its exception, by worker.
+
+    ``workers`` are addresses. A worker that does not answer within ``seconds`` is left out.
+    """
     answers: SimpleQueue[tuple[str, Any]] = SimpleQueue()
 
     def ask(worker: str) -> None:
         try:
-            answer = client.run(question, workers=[worker], on_error="return")[worker]
+            answer = client.run(function, workers=[worker], on_error="return")[worker]
         except Exception as error:
             answer = error
         answers.put((worker, answer))
 
     for worker in workers:
         threading.Thread(target=ask, args=(worker,), daemon=True).start()
-    limit = time.monotonic() + seconds
+    deadline = time.monotonic() + seconds
     answer_of_worker: dict[str, Any] = {}
     while len(answer_of_worker) < len(workers):
         try:
-            worker, answer = answers.get(timeout=max(limit - time.monotonic(), 0.0))
+            worker, answer = answers.get(timeout=max(deadline - time.monotonic(), 0.0))
         except Empty:
             break
         answer_of_worker[worker] = answer
@@ -47,12 +51,15 @@ def answers_of_workers(
 
 
 def is_there() -> bool:
-    """On a worker: the answer that it works."""
+    """Called on a worker: returns True, which shows that the worker answers."""
     return True
 
 
 class ClusterState(NamedTuple):
-    """The workers that answer, and the silent ones; the worker that has each task, by its key."""
+    """The addresses of the workers that answer and of the silent ones, and the worker of each task.
+
+    ``worker_of`` has the address of the worker by the key of the task.
+    """
 
     answering: tuple[str, ...]
     silent: tuple[str, ...]
@@ -60,7 +67,7 @@ class ClusterState(NamedTuple):
 
 
 def state_of_cluster(client: Client) -> ClusterState:
-    """Which workers answer, and what each of them has; TimeoutError if the scheduler is silent."""
+    """Which workers answer, and which tasks each has; TimeoutError if the scheduler is silent."""
     workers = sorted(within(ANSWER_S, client.nthreads))
     processing = within(ANSWER_S, client.processing)
     answers = answers_of_workers(client, workers, ANSWER_S, is_there)

@@ -48,22 +48,22 @@ _STOP_S = 4.0
 """How long an interrupted command waits until its missions are stopped."""
 
 _CHECK_S = 180.0
-"""How long a worker may take to say what it has: it imports the program first, maybe from afar."""
+"""How long a worker may take to report its versions: it imports the program first."""
 
 _LEAVE_S = 5.0
-"""How long a scheduler may take to notice that a worker has ended, whose connection broke."""
+"""How long a scheduler may take to notice that a worker with a broken connection has ended."""
 
 _LEAVE_PAUSE_S = 0.2
-"""Between two looks whether it has."""
+"""Between two checks whether it has noticed."""
 
 _LOOK_S = 30.0
-"""Without the end of a mission for so long, it is asked whether the workers still answer."""
+"""If no mission ends for so long, it is checked whether the workers still answer."""
 
 _SUBMISSIONS = 6
-"""How often a mission is handed out whose workers die; each time Dask tries a few of them."""
+"""How often a mission is submitted if its workers die; each time Dask tries a few workers."""
 
 _ATTEMPTS = 20
-"""How often, twice a second, a mission is tried whose folder another process still holds."""
+"""How often, twice a second, a mission is tried while another process has locked its folder."""
 
 _OPTIONAL = ("dask", "distributed", "pycolmap", "obstore")
 """Libraries that no number depends on, but must be the same everywhere or nowhere."""
@@ -73,7 +73,7 @@ _OPTIONAL = ("dask", "distributed", "pycolmap", "obstore")
 
 
 class _Submitted(NamedTuple):
-    """A mission that a worker runs, for the n-th time."""
+    """A mission submitted to Dask for the ``times``-th time; ``future`` is Dask's."""
 
     mission: MissionRef
     future: Any
@@ -81,20 +81,23 @@ class _Submitted(NamedTuple):
 
 
 class DaskExecutor:
-    """The workers of a Dask scheduler, by its address or the JSON file that it writes."""
+    """Executor that runs missions on the workers of a Dask scheduler.
+
+    ``scheduler`` is its address, or the path of the JSON file that it writes.
+    """
 
     def __init__(self, scheduler: str) -> None:
         self._scheduler = scheduler
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
-        """Yield how each mission ended, as soon as it did; ``alone`` changes nothing here.
+        """Run the missions; yield how each ended, as soon as it did. ``alone`` changes nothing.
 
         Refuses before any work a scheduler that does not answer or has no workers, and workers with
         other versions or without the mission files; SCHEDULER-LOST where the scheduler goes away.
         """
-        # A signal raises in the main thread. Inside the client it could leave one of the client's
-        # locks taken for ever. So another thread has the client, and the main thread waits for a
-        # SimpleQueue, which has no lock in Python.
+        # A signal raises an exception in the main thread. Inside the client it could leave one of
+        # the client's locks taken. So another thread has the client, and the main thread waits for
+        # a SimpleQueue, which has no lock in Python.
         ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception] = SimpleQueue()
         ended_or_stop: SimpleQueue[Any] = SimpleQueue()  # futures that ended; None: to stop
 
@@ -126,10 +129,10 @@ class DaskExecutor:
         ends: SimpleQueue[tuple[MissionRef, TaskEnd] | Exception],
         ended_or_stop: SimpleQueue[Any],
     ) -> None:
-        """Hand all missions to the workers, and put how each ended into ``ends``.
+        """Submit all missions to the scheduler, and put how each ended into ``ends``.
 
-        Returns when all have ended, or when None is put into ``ended_or_stop``. A mission whose
-        worker died is submitted again, a few times.
+        Returns when all have ended, or when None is put into ``ended_or_stop``, into which Dask
+        puts the futures that ended. If its worker dies, a mission is submitted again, a few times.
         """
         try:
             import distributed
@@ -152,13 +155,14 @@ class DaskExecutor:
 
 @dataclass
 class _Handout:
-    """The missions of a command that the workers of a scheduler have.
+    """Submits the missions of a command to a scheduler, and collects how they end.
 
-    make_task : the pickled task of a mission.
-    ends : into which it is put how each mission ended.
-    ended_or_stop : into which Dask puts futures that ended; None in it ends the service.
-    worker_died : the error of a future whose workers died.
-    waiting : by its key, each mission that has not ended.
+    make_task : returns the pickled task of a mission.
+    command : identifier of the command, for the workers.
+    ends : queue that gets how each mission ended.
+    ended_or_stop : queue that gets each future that ended from Dask; None stops `serve`.
+    worker_died : the class of the exception of a future if its workers died.
+    waiting : the missions that have not ended, by the key of the future.
     """
 
     client: Any
@@ -170,7 +174,7 @@ class _Handout:
     waiting: dict[str, _Submitted] = field(default_factory=dict)
 
     def serve(self, missions: Sequence[MissionRef]) -> None:
-        """Hand out all missions, and wait for their ends."""
+        """Submit all missions, and wait until all have ended or None is in ``ended_or_stop``."""
         for mission in missions:
             self._submit(mission, times=1)
         while self.waiting:
@@ -181,20 +185,23 @@ class _Handout:
                 continue
             if ended is None:
                 return
-            if ended.key in self.waiting:  # else it was lost, and cancelled
+            if ended.key in self.waiting:  # else `_replace_lost` has cancelled it
                 self._put_end(ended.key)
 
     def _submit(
         self, mission: MissionRef, times: int, workers: Sequence[str] | None = None
     ) -> None:
-        """Hand out a mission for the ``times``-th time, to some workers or to any."""
+        """Submit a mission for the ``times``-th time, to one of ``workers``; None means any."""
         task = self.make_task(mission)
         future = self.client.submit(run_apart, self.command, task, pure=False, workers=workers)
         self.waiting[future.key] = _Submitted(mission, future, times)
         future.add_done_callback(self.ended_or_stop.put)
 
     def _put_end(self, key: str) -> None:
-        """Put how a mission ended; one whose worker died is handed out again, a few times."""
+        """Put how a mission ended into ``ends``; submit it again if its worker died.
+
+        After `_SUBMISSIONS` times it ends as `Lost`.
+        """
         mission, future, times = self.waiting.pop(key)
         try:
             self.ends.put((mission, future.result()))
@@ -205,27 +212,30 @@ class _Handout:
                 self.ends.put((mission, Lost(str(error))))
 
     def _replace_lost(self) -> None:
-        """Hand the missions of silent workers to others, or let them end as lost."""
+        """Submit the missions of silent workers to other workers, or let them end as refused."""
         for lost in lost_tasks(self.client, list(self.waiting)):
             mission, future, times = self.waiting.pop(lost.key)
             future.cancel()
-            if lost.others and times < _SUBMISSIONS:
-                self._submit(mission, times + 1, lost.others)
+            if lost.other_workers and times < _SUBMISSIONS:
+                self._submit(mission, times + 1, lost.other_workers)
             else:
                 path = str(mission.path)
                 self.ends.put((mission, messages.no_answer(path=path, how=lost.how)))
 
 
 class _LostTask(NamedTuple):
-    """A task whose worker is silent: its key, how it is lost in words, and the other workers."""
+    """A task with a silent worker: its key, a description, and the workers that answer."""
 
     key: str
     how: str
-    others: tuple[str, ...]
+    other_workers: tuple[str, ...]
 
 
 def lost_tasks(client: Client, keys: Iterable[str]) -> list[_LostTask]:
-    """Which tasks have a worker that does not answer, or none because all are silent or gone."""
+    """The tasks that cannot end: their worker does not answer, or no worker is left for them.
+
+    ``keys`` are those of all tasks that have not ended.
+    """
     state = state_of_cluster(client)
     lost = []
     for key in keys:
@@ -240,7 +250,10 @@ def lost_tasks(client: Client, keys: Iterable[str]) -> list[_LostTask]:
 
 
 def scheduler_address(scheduler: str) -> str:
-    """The address itself, or that in a scheduler's file; else refused (SCHEDULER-FILE)."""
+    """The address of a scheduler, given as it is or by the JSON file of the scheduler.
+
+    Refuses (SCHEDULER-FILE) a text that is neither.
+    """
     if "://" in scheduler:
         return scheduler
     if Path(scheduler).exists() and not Path(scheduler).is_file():  # reading might never end
@@ -257,7 +270,7 @@ def refuse_missing(scheduler: str) -> None:
     Addresses other than tcp and tls are not tried, and not refused here.
     """
     address = scheduler_address(scheduler)
-    limit = time.monotonic() + _CONNECT_S
+    deadline = time.monotonic() + _CONNECT_S
     with connection_errors(address):
         url = urlsplit(address)
         if url.scheme not in ("tcp", "tls"):
@@ -267,14 +280,14 @@ def refuse_missing(scheduler: str) -> None:
                 socket.create_connection((url.hostname, url.port), _CONNECT_S).close()
                 return
             except ConnectionRefusedError:  # nothing listens yet
-                if time.monotonic() > limit:
+                if time.monotonic() > deadline:
                     raise
             time.sleep(_LISTEN_PAUSE_S)
 
 
 @contextmanager
 def connection_errors(address: str) -> Iterator[None]:
-    """Turn errors of connecting to an address into a refusal (SCHEDULER-NONE)."""
+    """Context that turns errors of connecting to an address into a refusal (SCHEDULER-NONE)."""
     try:
         yield
     except (OSError, ValueError, TypeError, ImportError) as error:
@@ -283,9 +296,9 @@ def connection_errors(address: str) -> Iterator[None]:
 
 @contextmanager
 def connected(scheduler: str, command: str) -> Iterator[Any]:
-    """A client that is connected to a scheduler.
+    """Context with a Dask client that is connected to a scheduler.
 
-    At the end all processes that the ``command`` has on the workers are stopped. Refuses
+    At its end all processes that the ``command`` has on the workers are stopped. Refuses
     (SCHEDULER-NONE) an address where no scheduler answers.
     """
     from distributed import Client
@@ -293,17 +306,17 @@ def connected(scheduler: str, command: str) -> Iterator[Any]:
 
     address = scheduler_address(scheduler)
     for name in list(logging.root.manager.loggerDict):
-        if name.startswith("distributed"):  # silenced one by one: each has a level of its own
+        if name.startswith("distributed"):  # each has its own level, so each is silenced
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with connection_errors(address):
-        resolve_address(address)  # refuses an unknown scheme at once; a client would try for long
+        resolve_address(address)  # fails at once for an unknown scheme, which a client would retry
         client = Client(address, timeout=_CONNECT_S, set_as_default=False, direct_to_workers=False)
     try:
         with suppress(TimeoutError):  # `check_workers` refuses a scheduler without workers
             client.wait_for_workers(1, timeout=_CONNECT_S)
         yield client
     finally:
-        with suppress(Exception):  # where the scheduler has gone there is nobody to tell
+        with suppress(Exception):  # the scheduler may be gone
             workers = list(within(_STOP_S, client.nthreads))
             answers_of_workers(client, workers, _STOP_S, partial(stop_command, command))
         with suppress(Exception):
@@ -313,37 +326,41 @@ def connected(scheduler: str, command: str) -> Iterator[Any]:
 def check_workers(
     client: Any, command: str, versions: Mapping[str, str], files: list[Path]
 ) -> None:
-    """Refuse workers that would not do what this process does, and a scheduler without workers.
+    """Refuse workers that would give other results than this process, and a lack of workers.
 
     Refused are workers with other versions, or that cannot run the program (WORKER-VERSION), that
     cannot see one of the mission ``files`` (WORKER-FILES), or that do not answer
-    (SCHEDULER-WORKERS). Workers that end during the check are passed over.
+    (SCHEDULER-WORKERS). Workers that end during the check are ignored. ``versions`` are those of
+    this process.
     """
-    question = pickle.dumps(partial(about_worker, files))
+    task = pickle.dumps(partial(about_worker, files))
     workers = sorted(within(_CHECK_S, client.nthreads))
     if not workers:
         raise messages.no_workers(address=client.scheduler_info()["address"])
-    reports = reports_of_workers(client, workers, partial(run_beside, command, question))
+    reports = reports_of_workers(client, workers, partial(run_beside, command, task))
     if not reports:
         raise messages.no_workers(address=client.scheduler_info()["address"])
     for worker, report in sorted(reports.items()):
         if not isinstance(report, tuple):  # a Bug or an error; the last line says why
             text = report.traceback if isinstance(report, Bug) else str(report)
             raise messages.worker_unable(worker=worker, error=text.strip().split("\n")[-1])
-        versions_there, missing = report
+        versions_there, missing_files = report
         refuse_other_versions(worker, versions, versions_there)
-        if missing:
-            raise messages.files_not_seen(worker=worker, first=missing[0], count=len(missing))
+        if missing_files:
+            raise messages.files_not_seen(
+                worker=worker, first=missing_files[0], count=len(missing_files)
+            )
 
 
 def reports_of_workers(
-    client: Client, workers: Sequence[str], question: Callable[[], Any]
+    client: Client, workers: Sequence[str], function: Callable[[], Any]
 ) -> dict[str, Any]:
-    """What each worker answers, or its error; without workers that end meanwhile.
+    """Call a function on each worker; returns its result, or its exception, by worker.
 
-    Refuses (SCHEDULER-WORKERS) a worker that stays and does not answer.
+    Workers that end meanwhile are left out. Refuses (SCHEDULER-WORKERS) a worker that stays
+    registered and does not answer.
     """
-    reports = answers_of_workers(client, workers, _CHECK_S, question)
+    reports = answers_of_workers(client, workers, _CHECK_S, function)
     for worker in workers:
         is_silent = worker not in reports
         has_no_answer = is_silent or isinstance(reports[worker], OSError)
@@ -355,10 +372,10 @@ def reports_of_workers(
 
 
 def has_left(client: Client, worker: str) -> bool:
-    """Whether the scheduler no longer has a worker, or loses it within some seconds."""
-    limit = time.monotonic() + _LEAVE_S
+    """Whether a worker is no longer registered at the scheduler; waits `_LEAVE_S` for that."""
+    deadline = time.monotonic() + _LEAVE_S
     while worker in within(_CHECK_S, client.nthreads):
-        if time.monotonic() > limit:
+        if time.monotonic() > deadline:
             return False
         time.sleep(_LEAVE_PAUSE_S)
     return True
@@ -367,15 +384,15 @@ def has_left(client: Client, worker: str) -> bool:
 def refuse_other_versions(
     worker: str, versions: Mapping[str, str], versions_there: Mapping[str, str]
 ) -> None:
-    """Refuse (WORKER-VERSION) a worker with other versions than those of the command."""
-    other = []
+    """Refuse (WORKER-VERSION) a worker with other ``versions_there`` than the command's."""
+    differences = []
     for name in sorted(versions.keys() | versions_there.keys()):
         there = versions_there.get(name, "missing")
         here = versions.get(name, "missing")
         if there != here:
-            other.append(f"{name} {there} (here {here})")
-    if other:
-        raise messages.other_versions(worker=worker, other=other)
+            differences.append(f"{name} {there} (here {here})")
+    if differences:
+        raise messages.other_versions(worker=worker, other=differences)
 
 
 def versions_here() -> dict[str, str]:
@@ -392,14 +409,14 @@ def versions_here() -> dict[str, str]:
 
 
 def about_worker(files: Sequence[Path]) -> Any:
-    """The versions in this process, and which mission files it cannot see."""
+    """The versions in this process, and those of ``files`` that it cannot see."""
     return versions_here(), [str(file) for file in files if not file.is_file()]
 
 
 def run_here(versions: Mapping[str, str], task: Callable[[], TaskEnd]) -> TaskEnd:
-    """Run a task, after the versions were checked: the worker may have come after the check of all.
+    """Run a task if this process has the same versions as the command.
 
-    Refuses (WORKER-VERSION) a worker with other versions than the command's.
+    Refuses (WORKER-VERSION) other versions: the worker may have connected after `check_workers`.
     """
     refuse_other_versions("one of the workers", versions, versions_here())
     return task()
@@ -415,16 +432,20 @@ def run_pickled(task: bytes) -> TaskEnd:
 
 
 class _Processes:
-    """The processes of one command on this worker, and which of them are busy."""
+    """The processes of one command on this worker, and whether each is ``busy``.
+
+    ``stopped`` : the command has ended, and no process may be started any more.
+    """
 
     def __init__(self) -> None:
         self.busy: dict[MissionProcess, bool] = {}
         self.stopped = False
 
     def take(self, threads: int) -> MissionProcess:
-        """A process that has nothing to do, or a new one; it is marked as busy.
+        """Mark a free process, or a new one, as busy, and return it.
 
-        ``threads`` of the worker share the CPUs. The caller holds `_LOCK`.
+        ``threads`` is the number of threads of the worker, which share its CPUs. The caller has
+        locked `_LOCK`.
         """
         free = [process for process, busy in self.busy.items() if not busy]
         process = free[0] if free else MissionProcess(max(1, usable_cpus() // threads))
@@ -434,13 +455,14 @@ class _Processes:
 
 _COMMANDS: dict[str, _Processes] = {}
 _LOCK = threading.Lock()
-"""Held while `_COMMANDS` or the processes of a command are looked up or changed."""
+"""Locked while `_COMMANDS` or the processes of a command are looked up or changed."""
 
 
 def run_apart(command: str, task: bytes, threads: int | None = None) -> TaskEnd:
-    """On a worker: run a pickled task in a free process.
+    """On a worker: run a pickled task in a free process, and return how it ended.
 
-    ``threads`` of the worker run tasks side by side; None stands for the worker of this thread.
+    ``threads`` is the number of threads of the worker, which run tasks at the same time; None asks
+    Dask, which works only in these threads.
     """
     if threads is None:
         from distributed import get_worker
@@ -454,10 +476,10 @@ def run_apart(command: str, task: bytes, threads: int | None = None) -> TaskEnd:
     try:
         allow_processes()
         for _ in range(_ATTEMPTS):
-            end = process.end(process.submit(partial(run_pickled, task)))
+            end = process.wait_for_end(process.submit(partial(run_pickled, task)))
             if not isinstance(end, OutputInUseError):
                 break
-            # The process of a worker that died may still hold the folder, and is about to end.
+            # The process of a worker that died may still have locked the folder; it ends soon.
             time.sleep(0.5)
         return end
     finally:
@@ -476,7 +498,10 @@ def allow_processes() -> None:
 
 
 async def run_beside(command: str, task: bytes, dask_worker: Any) -> TaskEnd:
-    """On a worker: run a pickled task now, even if all its threads run missions."""
+    """On a worker: run a pickled task at once, even if all threads of the worker run missions.
+
+    Dask passes the worker as ``dask_worker``.
+    """
     run = partial(run_apart, command, task, int(dask_worker.state.nthreads))
     return await asyncio.get_running_loop().run_in_executor(None, run)
 

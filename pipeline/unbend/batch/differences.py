@@ -1,4 +1,4 @@
-"""Why a mission would run: what differs from the run whose results are there."""
+"""Why a mission would run: what differs from the run that made the present results."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -11,13 +11,14 @@ from unbend.tables.manifest.whole import Manifest
 
 
 def reasons_to_run(plan: Plan, manifest: Manifest) -> list[str]:
-    """Why a plan has to run although a manifest is there, one reason each; empty if it need not.
+    """Why a plan has to run although an earlier run has left a manifest; one sentence a reason.
 
-    Where the manifest is that of the same plan, only damage of its results is a reason.
+    Empty if it need not run. If the manifest has the fingerprint of the plan, only damage of the
+    results is a reason.
     """
     run = manifest.run
     if run.fingerprint == plan.fingerprint:
-        return find_damage(plan.output, manifest, read=False)
+        return find_damage(plan.output, manifest, hash_all=False)
     reasons = [
         *changed_inputs(plan, run.inputs),
         *changed_keys(plan.config, run.config),
@@ -30,7 +31,7 @@ def reasons_to_run(plan: Plan, manifest: Manifest) -> list[str]:
 
 
 def changed_inputs(plan: Plan, records: list[InputRecord]) -> Iterator[str]:
-    """The inputs that differ from those of a run."""
+    """A sentence for each input that differs from those of a run; ``records`` are of that run."""
     hashes_before = {record.role: record.sha256 for record in records}
     inputs_now = {item.role: item for item in plan.inputs}
     for role in hashes_before.keys() - inputs_now.keys():
@@ -42,38 +43,44 @@ def changed_inputs(plan: Plan, records: list[InputRecord]) -> Iterator[str]:
             yield f"{role} changed ({item.name})"
 
 
-def changed_keys(config: Mapping[str, Any], of_run: Mapping[str, Any]) -> Iterator[str]:
-    """The keys of the mission file that differ from those of a run, with both values."""
-    before = dict(values_by_key(of_run))
-    now = dict(values_by_key(config))
-    for key in sorted(before.keys() | now.keys()):
+def changed_keys(config: Mapping[str, Any], config_of_run: Mapping[str, Any]) -> Iterator[str]:
+    """A text for each key of the mission file that differs from that of a run, with both values."""
+    values_before = dict(values_by_key(config_of_run))
+    values_now = dict(values_by_key(config))
+    for key in sorted(values_before.keys() | values_now.keys()):
         if key in NOT_IN_FINGERPRINT:
             continue
-        value_before = before.get(key)
-        value_now = now.get(key)
+        value_before = values_before.get(key)
+        value_now = values_now.get(key)
         if value_before != value_now:
             yield f"{key}: {_shown(value_before)} -> {_shown(value_now)}"
 
 
-def changed_versions(versions: Mapping[str, str], of_run: Mapping[str, str]) -> Iterator[str]:
-    """The versions that differ from those of a run, that of the program first.
+def changed_versions(
+    versions: Mapping[str, str], versions_of_run: Mapping[str, str]
+) -> Iterator[str]:
+    """A text for each version that differs from that of a run, the program's first.
 
-    Version and hash of the program's code are one difference.
+    Version and hash of the program's code give one text.
     """
-    names = sorted(versions.keys() | of_run.keys())
-    changed = [name for name in names if versions.get(name) != of_run.get(name)]
+    names = sorted(versions.keys() | versions_of_run.keys())
+    changed = [name for name in names if versions.get(name) != versions_of_run.get(name)]
     of_program = ("unbend", "code_sha256")
     if any(name in changed for name in of_program):
-        yield f"another version of unbend ({of_run.get('unbend')} -> {versions['unbend']})"
+        version_before = versions_of_run.get("unbend")
+        yield f"another version of unbend ({version_before} -> {versions['unbend']})"
     for name in changed:
         if name not in of_program:
-            version_before = _shown(of_run.get(name))
-            version_now = _shown(versions.get(name))
-            yield f"{name} {version_before} -> {version_now}"
+            text_before = _shown(versions_of_run.get(name))
+            text_now = _shown(versions.get(name))
+            yield f"{name} {text_before} -> {text_now}"
 
 
 def values_by_key(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """The values of nested mappings and lists by their keys, as ``sections.0.key``."""
+    """The values in nested mappings and lists, each with its path of keys, as ``sections.0.key``.
+
+    ``key`` is the path of ``values`` itself.
+    """
     if isinstance(values, Mapping):
         items = list(values.items())
     elif isinstance(values, list):
@@ -87,7 +94,7 @@ def values_by_key(values: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _shown(value: Any) -> str:
-    """A value of a key or a version, in words where there is none."""
+    """A value of a key, or a version, as text; "nothing" for None."""
     if value is None:
         return "nothing"
     return str(value)

@@ -29,8 +29,9 @@ def run_many(
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions; yields how each ended, as soon as it did.
 
-    A mission whose process dies is run again, alone. If its process dies again, the mission is
-    refused (WORKER-LOST) with the command that repeats it.
+    ``run_mission`` takes a mission as its first argument. A mission whose process dies is run
+    again, alone. If its process dies again, the mission is refused (WORKER-LOST) with the command
+    that repeats it.
     """
     tasks: dict[MissionRef, Task] = {ref: partial(run_mission, ref) for ref in missions}
     lost: dict[MissionRef, Lost] = {}
@@ -63,11 +64,12 @@ def lost_twice(mission: MissionRef, first: Lost, second: Lost) -> UnbendError:
 
 
 def with_manifest(end: MissionEnd) -> MissionEnd:
-    """How a mission ended, with the manifest that the receipt of another process leaves out.
+    """The end of a mission, a receipt completed by the manifest at its output.
 
-    Results that cannot be seen from here, or that are another run's, become a refusal.
+    Returns a refusal (RESULTS-ELSEWHERE) if there is no manifest, or that of another run. An end
+    that is not a receipt is returned unchanged.
     """
-    if not isinstance(end, Outcome) or not end.fingerprint:  # no results, or no receipt
+    if not isinstance(end, Outcome) or not end.fingerprint:
         return end
     try:
         manifest = read_manifest(end.output)
@@ -79,10 +81,10 @@ def with_manifest(end: MissionEnd) -> MissionEnd:
 
 
 def shard_of(shard: str | None) -> slice:
-    """Which missions of a list one of several jobs runs; all jobs have the same list.
+    """The slice of a list of missions that one of several jobs runs.
 
-    ``shard`` is the number of the job, counted from 0, and how many jobs there are, as ``1/3``;
-    None stands for one job. Refuses (RUN-SHARD) any other text.
+    All jobs have the same list. ``shard`` is K/N: the number of this job, counted from 0, and the
+    number of jobs, as ``1/3``; None means one job. Refuses (RUN-SHARD) any other text.
 
     >>> "abcdefg"[shard_of("1/3")], "abcdefg"[shard_of(None)]
     ('be', 'abcdefg')
@@ -100,9 +102,10 @@ def shard_of(shard: str | None) -> slice:
 
 
 def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[MissionRef, UnbendError]:
-    """Missions whose results would be written to the folder of an earlier mission, with refusals.
+    """The refusal of each mission that would write its results to the folder of an earlier one.
 
-    Folders are compared after symbolic links are resolved, and on Windows without case.
+    ``folders`` are the missions with their output folders or places. Folders are compared after
+    symbolic links are resolved, and on Windows without case.
     """
     first_of: dict[str, MissionRef] = {}
     refused: dict[MissionRef, UnbendError] = {}
@@ -116,9 +119,10 @@ def shared_outputs(folders: Iterable[tuple[MissionRef, object]]) -> dict[Mission
 
 
 def exit_code_of_command(codes: Sequence[int]) -> int:
-    """The exit code of a command by those of its missions; that of a single mission as it is.
+    """The exit code of a command, from the exit codes of its missions.
 
-    Of several missions: 1 for a bug, 6 for any other failure, else the worst.
+    A single mission gives its own code. Several give 1 if one is a bug (1), else 6 if one failed in
+    another way, else 3 if one has losses (3), else 0.
 
     >>> [exit_code_of_command(codes) for codes in ([0, 3], [2], [0, 2], [6, 1])]
     [3, 2, 6, 1]

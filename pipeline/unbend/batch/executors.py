@@ -24,10 +24,10 @@ class Outcome:
     """A mission that ended with results.
 
     output : the folder of the results, or a place in object storage.
-    manifest : None where nobody asks for it, and in a receipt.
+    manifest : None in a receipt, and for an unchanged mission among several.
     repeated : whether an earlier run had made the results, so that the mission did not run.
-    fingerprint : of the manifest, in a receipt only. A receipt is the outcome as another process
-        sends it, in less than a kilobyte; its manifest is read at ``output``.
+    fingerprint : that of the manifest, in a receipt only; otherwise empty. A receipt is the outcome
+        as another process sends it, in less than a kilobyte: the manifest is read at ``output``.
     """
 
     name: str
@@ -43,7 +43,10 @@ class Outcome:
         return f"<Outcome {self.name}: exit code {self.exit_code}{again}, {self.output}>"
 
     def receipt(self) -> Outcome:
-        """The outcome without its manifest, whose fingerprint stays; a receipt stays as it is."""
+        """The outcome with the fingerprint of its manifest in place of the manifest.
+
+        A receipt is returned unchanged.
+        """
         fingerprint = self.fingerprint
         if self.manifest is not None:
             fingerprint = self.manifest.run.fingerprint
@@ -66,7 +69,7 @@ class Bug:
 
 @dataclass(frozen=True)
 class Lost:
-    """A mission whose process died: how, in words."""
+    """A mission whose process died; ``how`` states in words how it died."""
 
     how: str
 
@@ -84,14 +87,19 @@ class Executor(Protocol):
     """Runs missions somewhere."""
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = False) -> Ends:
-        """Yield how each mission ended, as soon as it did; ``alone`` runs them one by one.
+        """Run the missions; yield how each ended, as soon as it did.
 
-        Closing the generator stops the missions that have not ended.
+        With ``alone`` they run one by one, otherwise several may run at the same time. Closing the
+        generator stops the missions that have not ended.
         """
 
 
-def end_of(task: Callable[[], TaskEnd]) -> TaskEnd:
-    """Run a mission; refusals and unexpected exceptions are returned, not raised."""
+def run_to_end(task: Callable[[], TaskEnd]) -> TaskEnd:
+    """Run a mission, and return how it ended.
+
+    A refusal (UnbendError) is returned as it is, an unexpected exception as a `Bug`. After a signal
+    that ends this process SystemExit is raised instead.
+    """
     try:
         return task()
     except UnbendError as error:
@@ -104,14 +112,17 @@ def end_of(task: Callable[[], TaskEnd]) -> TaskEnd:
 
 
 class Inline:
-    """One after the other in this process; ``bar`` shows the progress of each."""
+    """Executor that runs missions one after the other in this process.
+
+    ``bar`` opens a progress bar with a title: the name of the mission's file.
+    """
 
     def __init__(self, bar: Callable[[str], AbstractContextManager[Any]]) -> None:
         self._bar = bar
 
     def run(self, tasks: Mapping[MissionRef, Task], *, alone: bool = True) -> Ends:
-        """Yield how each mission ended, in the order given; they run one by one in any case."""
+        """Yield how each mission ended, in the order of ``tasks``; ``alone`` changes nothing."""
         for mission, task in tasks.items():
             with self._bar(mission.path.stem) as progress:
-                end = end_of(partial(task, progress=progress))
+                end = run_to_end(partial(task, progress=progress))
             yield mission, end

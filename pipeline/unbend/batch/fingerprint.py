@@ -45,7 +45,7 @@ LIBRARIES_OF_INPUTS = {
     "weather model": ("xarray", "h5netcdf", "h5py", "cfgrib", "eccodes", "eccodeslib", "ecmwflibs"),
     "elevation model": ("rasterio",),
 }
-"""Libraries that read some inputs, by the beginning of the role."""
+"""Libraries that read some inputs, by the beginning of the input's role."""
 
 LIBRARIES_OF_ATMOSPHERES = {MSIS: ("pymsis",)}
 """Libraries that make standard atmospheres."""
@@ -82,7 +82,7 @@ def hash_of_files(root: Path) -> str:
 
 @lru_cache
 def version(library: str) -> str | None:
-    """The installed version of a library; None where there is none."""
+    """The installed version of a library; None if it is not installed."""
     try:
         return metadata.version(library)
     except metadata.PackageNotFoundError:
@@ -138,8 +138,8 @@ def versions_of(roles: Iterable[str], standard: str) -> dict[str, str]:
 
 
 def all_versions() -> dict[str, str]:
-    """Versions of all that any mission may need."""
-    return versions_of(roles=LIBRARIES_OF_INPUTS, standard=MSIS)  # its keys are roles
+    """Versions of the program, Python and all libraries that any mission may need."""
+    return versions_of(roles=LIBRARIES_OF_INPUTS, standard=MSIS)  # iterates over its keys, roles
 
 
 def fingerprint_of(
@@ -148,16 +148,18 @@ def fingerprint_of(
     inputs: Mapping[str, str],
     nulls: Sequence[str] = (),
 ) -> str:
-    """SHA-256 over a mission as understood, versions, and hashes of the inputs by their roles.
+    """SHA-256 over all that the results of a mission depend on.
 
-    ``nulls`` are the keys that the mission file states with null (`config.stated_nulls`).
+    ``config`` has the values of the mission file by section, ``versions`` those of `versions_of`,
+    ``inputs`` the hash of each input by its role. ``nulls`` are the keys that the mission file
+    states with null (`config.stated_nulls`).
     """
-    counted = dict(config)
+    sections = dict(config)
     for key in NOT_IN_FINGERPRINT:
         section, name = key.split(".")
-        counted[section] = {k: v for k, v in counted[section].items() if k != name}
+        sections[section] = {k: v for k, v in sections[section].items() if k != name}
     content = {
-        "config": counted,
+        "config": sections,
         "versions": dict(versions),
         "inputs": dict(inputs),
         "nulls": list(nulls),

@@ -1,4 +1,4 @@
-"""A folder in the place of a file of a mission: what it is, and the file that may be meant."""
+"""The refusal of a folder in the place of an input file, with the file that may be meant."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ TABLES = (".csv", ".txt", ".tsv", ".parquet", ".pq")
 
 
 def folder_refusal(named: NamedInput, path: Path) -> InputError:
-    """The refusal (INPUT-FOLDER) of a folder in the place of a file."""
+    """The refusal (INPUT-FOLDER) of the folder at ``path``, which an input names as its file."""
     run = results_folder_of(path)
     if run is not None:
         return messages.results_as_input(
@@ -22,20 +22,23 @@ def folder_refusal(named: NamedInput, path: Path) -> InputError:
             run=str(run),
         )
     file_name = only_fitting_file(path, named.role)
-    meant = ""
+    suggested_path = ""
     if file_name:
         name_of_folder = named.name.rstrip("/")
-        meant = f"{name_of_folder}/{file_name}"
+        suggested_path = f"{name_of_folder}/{file_name}"
     return messages.folder_as_input(
         role=named.role,
         path=str(path),
         key=named.key,
-        meant=meant,
+        meant=suggested_path,
     )
 
 
 def only_fitting_file(folder: Path, role: str) -> str:
-    """The name of the only file of a folder that fits an input; "" if there are none or several."""
+    """The name of the only file in a folder with an ending that fits a role.
+
+    "" if there is none or more than one. Hidden files are left out.
+    """
     endings = fitting_endings(role)
     fitting = []
     try:
@@ -51,12 +54,12 @@ def only_fitting_file(folder: Path, role: str) -> str:
 
 
 def fitting_endings(role: str) -> tuple[str, ...]:
-    """The endings of the files of a role; empty where any ending fits."""
+    """The endings of files for a role of inputs; empty if any ending fits."""
     if role == "observations":
         return TABLES
     if role != "log":
         return ()
-    # takes a while, and only where something is wrong
+    # Imported here: it takes long, and is needed only for a refusal.
     from unbend.ingest.registry import FORMATS
 
     endings: list[str] = []

@@ -1,4 +1,4 @@
-"""The inputs of a mission: which they are, what they hold, and whether they are as they were."""
+"""The inputs of a mission: their files and hashes, and whether they have changed."""
 
 import hashlib
 import os
@@ -18,10 +18,10 @@ from unbend.tables.imports.blocks import BLOCKS, block_reader, damage_refused
 from unbend.tables.manifest.run import InputRecord
 
 SETTLED_NS = 2_000_000_000
-"""A file changed within this time may change again with the same times: FAT counts 2 s."""
+"""A file changed within this time may change again and keep its times: FAT has steps of 2 s."""
 
 GDAL = "GDAL"
-"""Stands for the program of a raster, beside which GDAL reads other files."""
+"""The `NamedInput.program` of a raster, with which GDAL reads other files of its folder."""
 
 BUILT_IN_GEOID = "egm96"
 """The geoid that needs no file: it is in the package."""
@@ -32,11 +32,11 @@ _EXIF_BYTES = 1 << 18  # EXIF comes first in a JPEG, and is never longer
 class NamedInput(NamedTuple):
     """An input as the mission file names it.
 
-    role : what it is to the mission: log, observations, events, ...
+    role : its purpose in the mission: log, observations, events, ...
     key : the key of the mission file that names it.
     name : its path or URL in the mission file.
-    program : that of a block, or `GDAL` of a raster: such an input may have several files. None
-        for any other file, and for a folder of images.
+    program : the program that wrote a block, or `GDAL` for a raster: such an input may have several
+        files. None for any other file, and for a folder of images.
     may_be_folder : whether a folder is allowed in the place of a file.
     """
 
@@ -50,7 +50,7 @@ class NamedInput(NamedTuple):
 def named_inputs(mission: Mission) -> Iterator[NamedInput]:
     """The files that a mission reads, with the keys of the mission file that name them.
 
-    In this order they stand in the manifest, and the first that is missing is refused.
+    The manifest lists them in this order, and the first missing one is refused.
     """
     if mission.log is not None:
         yield NamedInput("log", "log.path", mission.log.path)
@@ -94,7 +94,7 @@ def _heights_and_points(mission: Mission) -> Iterator[NamedInput]:
 
 
 def _orientation(mission: Mission) -> Iterator[NamedInput]:
-    """The orientations of the images, and the known positions that say in which frame they are."""
+    """The orientations of the images, and the known positions that georeference their frame."""
     section = mission.stations.orientation
     if section is None:
         return
@@ -113,7 +113,7 @@ def _orientation(mission: Mission) -> Iterator[NamedInput]:
 
 
 def _events(mission: Mission) -> Iterator[NamedInput]:
-    """The table of events, and the images whose EXIF holds their times."""
+    """The table of events, and the images with the times of exposure in their EXIF."""
     section = mission.events
     if section is None:
         return
@@ -158,23 +158,23 @@ def _soundings_and_model(mission: Mission) -> Iterator[NamedInput]:
         yield NamedInput("weather model", "atmosphere.model.path", section.model.path)
 
 
-def block_program(program: str | None) -> str | None:
-    """The program of an input that is a block; None where its format is another one."""
-    return program if program in BLOCKS else None
+def block_program(format_name: str | None) -> str | None:
+    """The program that writes blocks of a format; None if the format is not that of a block."""
+    return format_name if format_name in BLOCKS else None
 
 
 def sounding_role(number: int) -> str:
-    """The role of a sounding among the inputs, counted from 0."""
+    """The role of a sounding by its index, which counts from 0: "sounding 1" for 0."""
     return f"sounding {number + 1}"
 
 
 def is_raster(role: str) -> bool:
-    """Whether an input is read by GDAL, with the files beside it."""
+    """Whether GDAL reads the input with this role, with other files of its folder."""
     return role == "geoid" or role.startswith("elevation model")
 
 
 class FileState(NamedTuple):
-    """What changes when a file is written to, or replaced."""
+    """Properties of a file that change when the file is written to or replaced."""
 
     device: int
     inode: int
@@ -184,17 +184,17 @@ class FileState(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether the last change is so long ago that the next one will show in the times."""
+        """Whether the last change is so long ago that another one changes the times."""
         return max(self.mtime_ns, self.ctime_ns) < time.time_ns() - SETTLED_NS
 
     @property
     def without_device(self) -> tuple[int, ...]:
-        """The state as all machines that share a disk see it: each numbers devices by itself."""
+        """The state without the device: machines that share a disk number devices differently."""
         return self[1:]
 
 
 def state_of(path: str | Path) -> FileState | None:
-    """The state of a file, links followed; None where it is not there."""
+    """The state of a file, or of the file that a link leads to; None if there is none."""
     try:
         stat = os.stat(path)
     except OSError:
@@ -206,41 +206,42 @@ States = tuple[FileState | None, ...]
 
 
 def record_of(named: NamedInput, files: tuple[Path, ...], states: States) -> InputRecord:
-    """The record of an input by the states of its files, without a hash of its content.
+    """The record of an input from the states of its files, without a hash of its content.
 
-    mtime_ns : the latest time of the files; None unless all files are there and settled, because
+    Fields of the record:
+    mtime_ns : the latest time of the files; None unless all files exist and are settled, because
         only then an equal time proves later that the input is unchanged.
     version : a hash of names, sizes and times of the files; "" for an input that is one file.
     """
-    there = [state for state in states if state is not None]
-    are_all_there = bool(there) and len(there) == len(states)
-    is_settled = are_all_there and all(state.is_settled for state in there)
+    existing = [state for state in states if state is not None]
+    all_exist = bool(existing) and len(existing) == len(states)
+    is_settled = all_exist and all(state.is_settled for state in existing)
     has_several_files = len(files) > 1 or named.may_be_folder
     return InputRecord(
         role=named.role,
         name=named.name,
         sha256="",
-        bytes=sum(state.size_bytes for state in there),
-        mtime_ns=max(state.mtime_ns for state in there) if is_settled else None,
+        bytes=sum(state.size_bytes for state in existing),
+        mtime_ns=max(state.mtime_ns for state in existing) if is_settled else None,
         version=_hash_of_listing(files, states) if has_several_files else "",
     )
 
 
 def _hash_of_listing(files: tuple[Path, ...], states: States) -> str:
-    """SHA-256 of the names, sizes and times of files; it stands for the version of them all."""
+    """SHA-256 of the names, sizes and times of files, which serves as their common version."""
     digest = hashlib.sha256()
     for file, state in zip(files, states, strict=True):
-        size = state and state.size_bytes  # None for a file that is not there
-        mtime = state and state.mtime_ns
-        digest.update(f"{file.name}\0{size}\0{mtime}\0".encode())
+        size_bytes = None if state is None else state.size_bytes  # None: the file is missing
+        mtime_ns = None if state is None else state.mtime_ns
+        digest.update(f"{file.name}\0{size_bytes}\0{mtime_ns}\0".encode())
     return digest.hexdigest()
 
 
 def files_of(path: Path, program: str | None) -> tuple[Path, ...]:
-    """The files of an input.
+    """The files of an input at ``path``; ``program`` is as in `NamedInput`.
 
-    They are all files of a block, a raster and what GDAL reads beside it, the images of a folder,
-    or else the one file.
+    They are all files of a block; a raster and the files that GDAL reads with it; the images of a
+    folder; or else the one file.
     """
     if program == GDAL:
         return raster_files(path)
@@ -259,15 +260,16 @@ def hash_input(
 ) -> str:
     """SHA-256 of an input: of one file, or of the names and hashes of several.
 
-    ``files`` of a block or a raster are read whole; of the images of a folder (no ``program``) only
-    EXIF is. ``states`` are those of the files: a file that was hashed in its state before is not
-    read again. Without ``states`` all files are read.
+    ``files`` are all files of the input. Those of a block or a raster are read whole; of the images
+    of a folder (``program`` None) only the EXIF is read. ``states`` are the states of ``files``: a
+    file that this process has hashed in the same state is not read again. Without ``states`` all
+    files are read.
     """
-    state_of_file = states or (None,) * len(files)
+    state_of_each = states or (None,) * len(files)
     if files == (path,):  # the input is one file
-        return hash_once(path, state_of_file[0])
+        return hash_once(path, state_of_each[0])
     digest = hashlib.sha256()
-    for file, state in zip(files, state_of_file, strict=True):
+    for file, state in zip(files, state_of_each, strict=True):
         if program is not None:
             digest.update(f"{file.name}\0{hash_once(file, state)}\0".encode())
         else:
@@ -277,9 +279,9 @@ def hash_input(
 
 
 def hash_once(path: Path, state: FileState | None) -> str:
-    """SHA-256 of a file, which missions of one process that share it read once.
+    """SHA-256 of a file, which is read only once in the same state by all missions of a process.
 
-    A file is read each time without a ``state``, or if its next change may not show in the state.
+    It is read each time if ``state`` is None or not settled: then a change may leave the state.
     """
     if state is None or not state.is_settled:
         return hash_file(path)
@@ -288,12 +290,12 @@ def hash_once(path: Path, state: FileState | None) -> str:
 
 @lru_cache(maxsize=1000)
 def _hash_in_state(path: Path, _: FileState) -> str:
-    """SHA-256 of a file, kept for the state that it has."""
+    """SHA-256 of a file; the cache has an entry for each state of a file."""
     return hash_file(path)
 
 
 def hash_of_exif(path: Path) -> str:
-    """SHA-256 of the beginning of a JPEG, where its EXIF is; of another file, of all of it."""
+    """SHA-256 of the beginning of a JPEG, which contains the EXIF, or of all of another file."""
     with path.open("rb") as stream:
         start = stream.read(_EXIF_BYTES)
     if start.startswith(b"\xff\xd8"):
@@ -303,10 +305,10 @@ def hash_of_exif(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Input:
-    """An input as a run reads it: its record, where it is here, and the states of its files.
+    """An input as a run reads it: its record, its path on this machine, and its files' states.
 
-    ``url`` is that of an input in object storage: ``path`` is then the place of its copy, which
-    may not be made yet.
+    ``url`` is that of an input in object storage, otherwise "": ``path`` is then the path of its
+    copy, which may not be made yet. ``program`` is as in `NamedInput`.
     """
 
     record: InputRecord
@@ -317,12 +319,12 @@ class Input:
 
     @property
     def role(self) -> str:
-        """What it is to the mission: log, observations, events, ..."""
+        """Its purpose in the mission: log, observations, events, ..."""
         return self.record.role
 
     @property
     def name(self) -> str:
-        """What the mission file calls it."""
+        """Its path or URL in the mission file."""
         return self.record.name
 
     @property
@@ -334,9 +336,9 @@ class Input:
 def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:
     """Refuse (INPUT-CHANGED) inputs that were written to, or replaced, since they were hashed.
 
-    An input that was written again with the same content is refused too: in between another content
-    may have been there, and been read. Without ``folders`` the images of a folder are not looked
-    at. Inputs in object storage are not compared here, but by `remote.refuse_changed`.
+    An input that was written again with the same content is refused too, because another content
+    may have been read in between. ``folders`` also checks the images of folders. Inputs in object
+    storage are not checked here, but by `remote.refuse_changed`.
     """
     for item in inputs:
         is_folder_of_images = item.program is None and item.path.is_dir()
@@ -348,5 +350,5 @@ def check_unchanged(inputs: Iterable[Input], *, folders: bool = True) -> None:
 
 
 def _without_devices(states: Iterable[FileState | None]) -> list[tuple[int, ...] | None]:
-    """The states of files, without the numbers of their devices; None for a file not there."""
+    """The states of files, without the numbers of their devices; None for a missing file."""
     return [None if state is None else state.without_device for state in states]

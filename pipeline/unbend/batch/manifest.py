@@ -1,4 +1,4 @@
-"""The manifest of a run as it is written: read back, and compared with what it names."""
+"""The manifest of a run as a file: written, read, and compared with the results that it names."""
 
 import json
 import re
@@ -19,9 +19,10 @@ def manifest_text(manifest: Manifest) -> str:
 
 
 def parse_manifest(content: bytes, where: str, *, of_attempt: bool = False) -> Manifest:
-    """The manifest in a file; refuses (MANIFEST-UNREADABLE) what unbend did not write.
+    """The manifest from the content of its file; ``where`` is the path of the file, for messages.
 
     ``of_attempt`` : the manifest is in object storage, and must name the attempt with its files.
+    Refuses (MANIFEST-UNREADABLE) a content that unbend did not write.
     """
     try:
         values = json.loads(content.decode("utf-8"))
@@ -41,10 +42,10 @@ def damage_of(
     sizes: Mapping[str, int],
     hash_of: Callable[[str], str | None],
 ) -> list[str]:
-    """What is missing, changed or too many among the results of a manifest, one line each.
+    """What is missing, changed or superfluous among the results of a manifest, one text each.
 
-    ``sizes`` are those of the files that are there, by name. ``hash_of`` returns the hash of a file
-    by its name, or None for a file that is trusted without reading it.
+    ``sizes`` [bytes] are those of the existing files, by name. ``hash_of`` returns the SHA-256 of a
+    file by its name, or None for a file that is trusted without reading it.
     """
     damage = []
     for item in manifest.run.outputs:
@@ -55,5 +56,6 @@ def damage_of(
         elif hash_of(item.name) not in (None, item.sha256):
             damage.append(f"{item.name}: its content has changed")
     names = {item.name for item in manifest.run.outputs}
-    damage += [f"{name}: belongs to no run" for name in sorted(sizes.keys() - names)]
+    superfluous = sorted(sizes.keys() - names)
+    damage += [f"{name}: belongs to no run" for name in superfluous]
     return damage

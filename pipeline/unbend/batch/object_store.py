@@ -1,6 +1,6 @@
-"""Requests to object storage, and what a store refuses. Used by `remote` alone.
+"""Requests to object storage by obstore (the extra ``cloud``), and the refusals of a store.
 
-By obstore (the extra ``cloud``). No text of a store is printed, as it may hold a signature.
+Only `remote` uses this module. No text of a store is printed, as it may contain a signature.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _STORES = {"s3": "S3Store", "az": "AzureStore", "gs": "GCSStore"}
 """Classes of obstore by the scheme of a URL.
 
 A scheme that obstore does not have needs more than a line here: its own requests, and its errors in
-`answered`.
+`call_store`.
 """
 
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9._-]{1,62}")
@@ -41,8 +41,8 @@ RETRY_S = 60.0  # after which a request that failed is not repeated
 _PLAIN_HTTP = ("AWS_ALLOW_HTTP", "AZURE_ALLOW_HTTP", "AZURE_STORAGE_USE_EMULATOR")
 """Variables of the environment that allow a store without encryption, such as one on this host."""
 
-# What stores answer, as regular expressions of whole codes: <Code> of S3 and Azure, or the status
-# of HTTP where there is none.
+# Regular expressions of whole codes that stores answer: <Code> of S3 and Azure, or the status of
+# HTTP if there is no code.
 _WRONG_CLOCK = re.compile("RequestTimeTooSkewed|RequestExpired")
 _NO_BUCKET = re.compile(
     "NoSuchBucket|ContainerNotFound|Invalid(Bucket|Resource)Name|PermanentRedirect"
@@ -57,7 +57,7 @@ _NOT_ALLOWED = re.compile(
     "|PublicAccessNotPermitted|403"
 )
 
-# Words of an error that has no code.
+# Words in the text of an error without a code.
 _OTHER_REGION = re.compile("incorrectly configured region")
 _NO_CREDENTIALS = re.compile(
     r"169\.254\.169\.254|latest/api/token|token request|Account must be specified"
@@ -73,7 +73,7 @@ _OLD_DATE = re.compile("[Rr]equest date header too old")
 
 
 def is_url(text: str) -> bool:
-    """Whether a path of a mission file or command is meant as a URL.
+    """Whether a path in a mission file or command line is a URL, valid or not.
 
     >>> is_url("s3://flights/1.bin"), is_url("C:/flights/1.bin"), is_url("flights/1.bin")
     (True, False, False)
@@ -98,8 +98,8 @@ class Place:
     def of(cls, url: str) -> Place:
         """The place of a URL; refuses (ConfigError URL-INVALID) a URL that names no place.
 
-        A user, password, query or fragment is refused, and not repeated: it may be a secret. The
-        key is written as the bucket has it, without percent-encoding.
+        A user, password, query or fragment is refused, and left out of the message, because it may
+        be a secret. The key is written as the bucket has it, without percent-encoding.
         """
         scheme, _, bucket_and_path = url.partition("://")
         bucket, _, path = bucket_and_path.partition("/")
@@ -108,10 +108,10 @@ class Place:
             schemes = ", ".join(f"{name}://" for name in _STORES)
             raise messages.url_invalid(url="", why=f"it begins with none of {schemes}")
         without_user = f"{scheme}://{bucket.rpartition('@')[2]}/{key}"
-        shown = re.split(r"[?#]", without_user)[0]
-        why = _mistake_of(url, bucket, key)
-        if why:
-            raise messages.url_invalid(url=shown, why=why)
+        mistake = _mistake_of(url, bucket, key)
+        if mistake:
+            without_secrets = re.split(r"[?#]", without_user)[0]
+            raise messages.url_invalid(url=without_secrets, why=mistake)
         return cls(scheme, bucket, key, path.endswith("/"))
 
     def __str__(self) -> str:
@@ -126,25 +126,26 @@ class Place:
         return self.key.rpartition("/")[2] or self.bucket
 
     def is_below(self, other: Place) -> bool:
-        """Whether the place lies below another one, or is the same."""
+        """Whether the place is below ``other``, or is the same."""
         return f"{self}/".startswith(f"{other}/")
 
     def read(self) -> tuple[bytes | None, dict[str, Any] | None]:
         """The content of a small object, and its version for `put`; both None without an object."""
         try:
-            got = request("read", self, "get")
+            response = request("read", self, "get")
         except FileNotFoundError:
             return None, None
         version = {}
         for key in ("e_tag", "version"):
-            if got.meta[key] is not None:
-                version[key] = got.meta[key]
-        return bytes(answered("read", self, got.bytes)), version
+            if response.meta[key] is not None:
+                version[key] = response.meta[key]
+        return bytes(call_store("read", self, response.bytes)), version
 
     def put(self, content: Any, version: dict[str, Any] | str | None) -> bool:
-        """Write an object whole, if it still has a version; False if it has another one.
+        """Write an object if its present version is ``version``; False if it is not.
 
-        ``version`` is as of `read`; None stands for no object, "overwrite" for any version.
+        ``version`` is that of `read`; None means no object, "overwrite" any version. ``content`` is
+        bytes, or the path of a file.
         """
         return request("write", self, "put", content, mode=version or "create") is not None
 
@@ -155,7 +156,7 @@ class Place:
         except (FileNotFoundError, StorageError) as error:
             if is_silent(error):  # GET would wait as long
                 raise
-            # A refusal of HEAD has no text that says why; one of GET has.
+            # The refusal of HEAD has no text with the reason, the refusal of GET has.
             return dict(request("read", self, "get").meta)
 
     def blocks(self) -> Iterator[bytes]:
@@ -167,16 +168,16 @@ class Place:
         for start in range(0, meta["size"], _BLOCK_BYTES):
             stop = min(start + _BLOCK_BYTES, meta["size"])
             options = {"range": (start, stop), "if_match": meta["e_tag"]}
-            got = request("read", self, "get", options=options)
-            if got is None:  # the condition does not hold: it is another object by now
+            response = request("read", self, "get", options=options)
+            if response is None:  # the condition is not met: the object has changed
                 raise messages.input_changed(role=self.name, path=str(self))
-            block = bytes(answered("read", self, got.bytes))
+            block = bytes(call_store("read", self, response.bytes))
             if len(block) != stop - start:
                 raise messages.request_failed(url=str(self), verb="read", answer="a part of it")
             yield block
 
     def sha256(self) -> str:
-        """The hash of an object; empty for one that is not there, or that changes meanwhile."""
+        """The hash of an object; "" if it is missing, or changes while it is read."""
         digest = hashlib.sha256()
         try:
             for block in self.blocks():
@@ -186,14 +187,14 @@ class Place:
         return digest.hexdigest()
 
     def objects(self) -> dict[str, dict[str, Any]]:
-        """Size, version and time of each object below the place, by its name from the place on."""
+        """Size, version and time of each object below the place, by its name relative to it."""
         start = f"{self.key}/" if self.key else ""
         listing = request("list", Place(self.scheme, self.bucket, start), "list")
-        listed = answered("list", self, listing.collect)
+        listed = call_store("list", self, listing.collect)
         return {str(meta["path"]).removeprefix(start): meta for meta in listed}
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove objects below the place, by their names; one that is gone already is no error."""
+        """Remove objects by their names relative to the place; a missing object is ignored."""
         for name in names:
             try:
                 request("delete", self / name, "delete")
@@ -202,7 +203,7 @@ class Place:
 
 
 def _mistake_of(url: str, bucket: str, key: str) -> str:
-    """Why a URL with a known scheme names no place; empty for a URL that names one."""
+    """Why a URL with a known scheme is invalid; "" for a valid one."""
     if "@" in bucket or re.search("[?#]", url):
         return "it has a user, a password, a query or a fragment"
     if not _BUCKET.fullmatch(bucket):
@@ -218,18 +219,19 @@ def _mistake_of(url: str, bucket: str, key: str) -> str:
 
 @lru_cache(maxsize=64)
 def open_store(scheme: str, bucket: str, *, uploads: bool = False) -> Any:
-    """The store of a bucket; credentials and region are those of the environment.
+    """Obstore's store of a bucket, with credentials and region of the environment.
 
-    One that ``uploads`` files waits longer: it hears nothing while it sends.
+    With ``uploads`` it has no limit on the time without an answer: while it sends a file, no byte
+    is received.
     """
     from obstore import store
 
-    # Where options are given, those of the environment are not looked at.
-    plain = any(os.environ.get(name, "").lower() == "true" for name in _PLAIN_HTTP)
+    # With ``client_options`` obstore does not read this variable of the environment.
+    allows_http = any(os.environ.get(name, "").lower() == "true" for name in _PLAIN_HTTP)
     options = {
         "timeout": timedelta(seconds=REQUEST_S),
         "connect_timeout": timedelta(seconds=CONNECT_S),
-        "allow_http": plain,
+        "allow_http": allows_http,
     }
     if not uploads:
         options["read_timeout"] = timedelta(seconds=SILENCE_S)
@@ -238,10 +240,11 @@ def open_store(scheme: str, bucket: str, *, uploads: bool = False) -> Any:
 
 
 def request(verb: str, place: Place, function: str, *arguments: Any, **options: Any) -> Any:
-    """Call a function of obstore, by its name, for an object.
+    """Call a function of obstore for the object at ``place``.
 
-    Returns None where a condition of the request does not hold. Raises FileNotFoundError where the
-    object is not there, and StorageError for any other error; its text has the ``verb``.
+    ``function`` is its name, ``verb`` the word for it in an error's text: read, write, list or
+    delete. Returns None if a condition of the request is not met. Raises FileNotFoundError if there
+    is no object, and StorageError for any other error.
     """
 
     def call() -> Any:
@@ -251,13 +254,14 @@ def request(verb: str, place: Place, function: str, *arguments: Any, **options: 
         store = open_store(place.scheme, place.bucket, uploads=uploads)
         return getattr(obstore, function)(store, place.key, *arguments, **options)
 
-    return answered(verb, place, call)
+    return call_store(verb, place, call)
 
 
-def answered(verb: str, place: Place, call: Callable[[], Any]) -> Any:
-    """What a call of obstore returns; None where a condition of the request does not hold.
+def call_store(verb: str, place: Place, call: Callable[[], Any]) -> Any:
+    """Call obstore, and translate its errors.
 
-    Else raises as `request` does, or ConfigError (CLOUD-EXTRA) if obstore is missing.
+    Returns what ``call`` returns; None if a condition of the request is not met. Otherwise raises
+    as `request` does, or ConfigError (CLOUD-EXTRA) if obstore is not installed.
     """
     try:
         from obstore import exceptions
@@ -274,17 +278,17 @@ def answered(verb: str, place: Place, call: Callable[[], Any]) -> Any:
         if refusal is None and isinstance(error, FileNotFoundError):
             raise FileNotFoundError(ENOENT, os.strerror(ENOENT), str(place)) from None
         answer = answer_in(text)
-    # Raised here, and not while obstore's error is handled: its text would be printed as the cause.
+    # Raised after the handler: in it obstore's error would be printed as the cause, with its text.
     raise refusal or messages.request_failed(url=str(place), verb=verb, answer=answer)
 
 
 def is_silent(error: Exception) -> bool:
-    """Whether a refusal says that a store does not answer."""
+    """Whether an error is the refusal for a store that does not answer (CLOUD-SILENT)."""
     return isinstance(error, StorageError) and error.code == messages.CLOUD_SILENT.name
 
 
 def host_in(text: str) -> str:
-    """The host of the first URL in what obstore says of an error; empty without one.
+    """The host of the first URL in the text of an error of obstore; "" without a URL.
 
     >>> host_in("Error performing GET http://127.0.0.1:9000/season/a?X-Signature=1 in 60 s")
     '127.0.0.1:9000'
@@ -294,7 +298,7 @@ def host_in(text: str) -> str:
 
 
 def answer_in(text: str) -> str:
-    """The code in what obstore says of an error, or the status of HTTP.
+    """The code in the text of an error of obstore, or the status of HTTP; else "nothing".
 
     >>> answer_in("... <Code>AccessDenied</Code> ..."), answer_in("status code: 500"), answer_in("")
     ('AccessDenied', '500', 'nothing')
@@ -308,7 +312,7 @@ def answer_in(text: str) -> str:
 def refusal_of(text: str, verb: str, place: Place, waited_s: float) -> StorageError | None:
     """The refusal for the text of obstore's error; None for an error of an unknown kind.
 
-    ``waited_s`` : how long the call took, with all that was tried.
+    ``waited_s`` : how long the call took, with all its repetitions.
     """
     url = str(place)
     answer = answer_in(text)

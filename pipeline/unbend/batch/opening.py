@@ -45,7 +45,7 @@ KNOWN_POSITIONS = "known positions"
 """The role of the table of known positions."""
 
 _NOT_IN_FILES = ("log", "observations", "orientation")
-"""Roles of inputs that a mission with tables in memory has not, or not in a file."""
+"""Roles of inputs that a mission with tables in memory does not read from files."""
 
 
 def open_inputs(
@@ -57,10 +57,11 @@ def open_inputs(
     *,
     camera_names: Mapping[str, str] | None = None,
 ) -> OpenedInputs:
-    """All inputs of a mission beside its observations and its log, opened.
+    """Open all inputs of a mission except its observations and its log, which are given.
 
-    Tables are read here, readers are called by the stages. ``camera_names``: camera of the mission
-    by its name in the block.
+    Tables are read here; readers are functions that the stages call later. ``paths`` are those of
+    the inputs by their roles. ``camera_names`` has the mission's name of each camera, by the name
+    in the block.
     """
     return OpenedInputs(
         observations=observations,
@@ -90,9 +91,10 @@ def open_table(
     most_rows: int | None = None,
     table: pa.Table | None = None,
 ) -> Observations:
-    """The table of observations, its columns checked, and ``most_rows`` rows drawn of it.
+    """Open the table of observations, and check its columns.
 
-    A ``table`` in memory takes the place of the file; ``path`` is then its name.
+    ``most_rows`` rows are drawn as its sample, None for no sample. A ``table`` in memory takes the
+    place of the file; ``path`` is then its name in messages.
     """
     section = mission.observations
     ground = mission.ground
@@ -113,21 +115,26 @@ def open_table(
 
 
 def decode_log(mission: Mission, paths: Paths, sha256: str | None) -> Log | None:
-    """The log of a mission, decoded; None where stations come from elsewhere."""
+    """The log of a mission, decoded; None for a mission without a log.
+
+    ``sha256`` is the hash of the log's file; None if it was not taken.
+    """
     if mission.log is None:
         return None
     return open_log(paths["log"], sha256, date_ns=mission.mission.date_ns)
 
 
-def paths_beside_tables(
+def paths_of_other_inputs(
     mission: Mission, folder: Path, *, in_memory: Set[str] = frozenset()
 ) -> tuple[Mission, dict[str, Path]]:
-    """Where the files are of a mission whose observations and orientations are in memory.
+    """Find the other inputs of a mission that has its observations and orientations in memory.
 
-    ``in_memory`` : roles of further inputs that are tables in memory.
-    Returns the mission, with what the files of its cameras say, and the paths by role. Such a
-    mission has no log. Refuses (INPUT-MISSING, INPUT-FOLDER) what is not there, and a folder in the
-    place of a file; an input in object storage is copied.
+    ``folder`` is the folder from which relative paths resolve, ``in_memory`` are the roles of
+    further inputs that are tables in memory. Such a mission has no log. An input in object storage
+    is copied. Refuses an input that is missing (INPUT-MISSING), and a folder in the place of a file
+    (INPUT-FOLDER).
+
+    Returns the mission, completed by the files of its cameras, and the paths of the inputs by role.
     """
     paths = {}
     for named in named_inputs(mission):
@@ -143,7 +150,7 @@ def paths_beside_tables(
 
 
 def _trajectory(mission: Mission, paths: Paths) -> ChannelReader | None:
-    """The reader of the trajectory, by its format, with the path of the file of its accuracy."""
+    """The reader of the trajectory, by its format; None for a mission without one."""
     section = mission.stations.trajectory
     if section is None:
         return None
@@ -159,6 +166,7 @@ def _trajectory(mission: Mission, paths: Paths) -> ChannelReader | None:
 
 
 def _camera_events(mission: Mission, paths: Paths) -> dict[str, ChannelReader]:
+    """The reader of the events of each camera that has a file of events with positions."""
     readers: dict[str, ChannelReader] = {}
     for camera, source in mission.position_events.items():
         path = paths[f"events of {camera}"]
@@ -167,6 +175,7 @@ def _camera_events(mission: Mission, paths: Paths) -> dict[str, ChannelReader]:
 
 
 def _events(mission: Mission, paths: Paths, ledger: Ledger) -> EventTable | None:
+    """The table of events; None for a mission without one."""
     section = mission.events
     if section is None or section.csv is None:
         return None
@@ -174,7 +183,7 @@ def _events(mission: Mission, paths: Paths, ledger: Ledger) -> EventTable | None
 
 
 def _image_times(mission: Mission, paths: Paths, ledger: Ledger) -> ImageTimes | None:
-    """The times in the images' EXIF, unless a table gives the events."""
+    """The times in the images' EXIF; None without images, or if a table gives the events."""
     section = mission.events
     if section is None or section.images is None or section.csv is not None:
         return None
@@ -182,7 +191,7 @@ def _image_times(mission: Mission, paths: Paths, ledger: Ledger) -> ImageTimes |
 
 
 def _orientation(mission: Mission, paths: Paths, ledger: Ledger) -> OrientationTable | None:
-    """The table of orientations, or those of a block; None if it is given in memory, too."""
+    """The table of orientations, or those of a block; None without one, or if it is in memory."""
     section = mission.stations.orientation
     if section is None or "orientation" not in paths:
         return None
@@ -205,12 +214,14 @@ def stated_orientation(section: OrientationSection) -> Stated:
 
 
 def _known_positions(mission: Mission, paths: Paths) -> opened_inputs.KnownImagePositions | None:
+    """The table of known positions of images; None without one, or if it is in memory."""
     section = mission.stations.orientation
     known_positions = None if section is None else section.known_positions
     if not isinstance(known_positions, KnownPositions) or KNOWN_POSITIONS not in paths:
         return None
-    read = read_known_positions(paths[KNOWN_POSITIONS], columns_of_positions(known_positions))
-    return opened_inputs.KnownImagePositions(*read)
+    columns = columns_of_positions(known_positions)
+    position_table = read_known_positions(paths[KNOWN_POSITIONS], columns)
+    return opened_inputs.KnownImagePositions(*position_table)
 
 
 def columns_of_positions(section: KnownPositions) -> dict[str, str]:
@@ -219,7 +230,10 @@ def columns_of_positions(section: KnownPositions) -> dict[str, str]:
 
 
 def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
-    """Where the files of the orientations and the observations say that the images were."""
+    """Positions of the images in the blocks that have the orientations and the observations.
+
+    They are those that a block has in addition to its orientations, for example from EXIF.
+    """
     section = mission.stations.orientation
     if section is None:
         return ()
@@ -235,24 +249,25 @@ def _block_places(mission: Mission, paths: Paths) -> tuple[KnownPlaces, ...]:
     return places
 
 
-def places_beside(frame: pd.DataFrame, section: OrientationSection) -> tuple[KnownPlaces, ...]:
-    """Latitudes and longitudes in a table of stations that has its positions in other columns.
+def geographic_places(frame: pd.DataFrame, section: OrientationSection) -> tuple[KnownPlaces, ...]:
+    """Latitudes and longitudes of a table of stations that takes its positions from other columns.
 
-    They are compared with these positions; () without them. ``frame`` has columns named by
-    quantities.
+    ``frame`` is the table, ``section`` names the columns of its positions. The result is compared
+    with the stations; it is () if the table has no latitudes and longitudes, or if its positions
+    are these.
     """
     is_position = "latitude" in section.column_names
     if is_position or not {"latitude", "longitude"} <= {*frame.columns}:
         return ()
     degrees = frame[["latitude", "longitude"]].apply(pd.to_numeric, errors="coerce")
-    position = np.full((len(frame), 3), np.nan)
+    position = np.full((len(frame), 3), np.nan)  # latitude, longitude [rad], unknown height
     position[:, :2] = np.radians(degrees.to_numpy(np.float64))
     image = frame[section.column_names["image"]].map(str).to_numpy(object)
     return (KnownPlaces("latitude and longitude in the table of stations", image, position),)
 
 
 def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints | None:
-    """The object points of the block with the orientations, if the ground heights are theirs."""
+    """The object points of the block with the orientations; None unless they are the ground."""
     section = mission.stations.orientation
     if mission.ground.height != "block" or section is None:
         return None
@@ -263,6 +278,7 @@ def _block_points(mission: Mission, paths: Paths) -> opened_inputs.BlockPoints |
 
 
 def _object_points(mission: Mission, paths: Paths) -> opened_inputs.ObjectPointTable | None:
+    """The table of object points that are the ground; None without one."""
     section = mission.ground.points
     if section is None:
         return None
@@ -270,6 +286,7 @@ def _object_points(mission: Mission, paths: Paths) -> opened_inputs.ObjectPointT
 
 
 def _control(mission: Mission, paths: Paths) -> opened_inputs.ObjectPointTable | None:
+    """The table of control points; None without one."""
     section = mission.control
     if section is None:
         return None
@@ -277,11 +294,13 @@ def _control(mission: Mission, paths: Paths) -> opened_inputs.ObjectPointTable |
 
 
 def _points(path: Path, names: Mapping[str, str], key: str) -> opened_inputs.ObjectPointTable:
+    """Read a table of points: ``names`` of columns by quantity; ``key`` states them in the file."""
     name, columns = read_object_points(path, names, key=key)
     return opened_inputs.ObjectPointTable(name, columns, str(path))
 
 
 def _elevation(mission: Mission, paths: Paths) -> opened_inputs.ElevationReader | None:
+    """The reader of the elevation model; None without one."""
     section = mission.ground.model
     if section is None:
         return None
@@ -290,6 +309,7 @@ def _elevation(mission: Mission, paths: Paths) -> opened_inputs.ElevationReader 
 
 
 def _soundings(mission: Mission, paths: Paths) -> tuple[opened_inputs.SoundingReader, ...]:
+    """A reader for each sounding."""
     readers = []
     for number, section in enumerate(mission.atmosphere.soundings, 1):
         readers.append(
@@ -299,6 +319,7 @@ def _soundings(mission: Mission, paths: Paths) -> tuple[opened_inputs.SoundingRe
 
 
 def _weather_model(mission: Mission, paths: Paths) -> opened_inputs.WeatherModel | None:
+    """The weather model with its reader; None without one."""
     section = mission.atmosphere.model
     if section is None:
         return None

@@ -1,4 +1,4 @@
-"""What Linux says of other processes: which is suspended, and which holds a lock."""
+"""Information of Linux on other processes: whether one is suspended, and which has a lock."""
 
 import os
 from pathlib import Path
@@ -7,20 +7,20 @@ LOCKS = Path("/proc/locks")
 
 
 def is_suspended(process: int | None) -> bool:
-    """Whether a process is suspended (SIGSTOP), by its number; False if the system does not say.
+    """Whether a process is suspended (SIGSTOP); False if the system does not say.
 
-    A suspended process neither works nor ends until somebody lets it go on.
+    ``process`` is its number (PID). A suspended process neither works nor ends until it is resumed.
     """
     try:
         status = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return False
-    # number (name) state ...: the name may hold blanks and parentheses
+    # "number (name) state ...", where the name may contain blanks and parentheses; T: suspended
     return status.rpartition(")")[2].split()[0] == "T"
 
 
 def holder_of(lock: Path) -> int | None:
-    """The process of this machine that holds the lock of a file; None where none is known."""
+    """The number of the process on this machine that holds the lock of a file; None if unknown."""
     try:
         stat = os.stat(lock)
         lines = LOCKS.read_text(encoding="utf-8").splitlines()
@@ -28,7 +28,7 @@ def holder_of(lock: Path) -> int | None:
         return None
     locked_inode = f"{os.major(stat.st_dev):02x}:{os.minor(stat.st_dev):02x}:{stat.st_ino}"
     for line in lines:
-        # "1: FLOCK ADVISORY WRITE 19362 fe:00:3334716 0 EOF"; of one that waits "1: -> FLOCK ..."
+        # "1: FLOCK ADVISORY WRITE 19362 fe:00:3334716 0 EOF"; "1: -> FLOCK ..." if it only waits
         fields = line.split()
         kind = fields[1]
         process = fields[4]
@@ -39,7 +39,7 @@ def holder_of(lock: Path) -> int | None:
 
 
 def holder_in_words(lock: Path) -> str:
-    """Who holds the lock of a file, for a message."""
+    """The process that holds the lock of a file, in words for a message."""
     process = holder_of(lock)
     if process is None:
         return "a process that is unknown on this machine, perhaps of another machine,"

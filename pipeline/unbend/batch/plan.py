@@ -1,4 +1,4 @@
-"""A mission before it is run: its inputs hashed, and where its results go."""
+"""A mission before it is run: its inputs hashed, and the folder or place of its results."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ from unbend.tables.manifest.whole import Manifest
 class Plan:
     """A mission with its inputs hashed.
 
-    camera_names : the mission's name of each camera, by what a block calls that camera.
-    text_sha256 : hash of the mission file that the mission was read from; "" where not known.
+    output : the folder of the results, or a place in object storage.
+    camera_names : the mission's name of each camera, by the camera's name in a block.
+    text_sha256 : hash of the mission file that the mission was read from; "" if unknown.
     remotes : the inputs in object storage, by their roles.
     """
 
@@ -70,7 +71,7 @@ class Plan:
 
     @property
     def folder(self) -> Path:
-        """The folder that results are made in: the output, or for a URL one in the user's cache."""
+        """The folder that a run writes to: the output, or for a URL one in the user's cache."""
         if isinstance(self.output, Path):
             return self.output
         url = str(self.output)
@@ -82,7 +83,7 @@ class Plan:
         return next(item for item in self.inputs if item.role == role)
 
     def identity(self) -> Identity:
-        """The part of the manifest that says which run it is of, and of which inputs."""
+        """The part of the manifest that identifies the run: mission, inputs and versions."""
         return Identity(
             manifest_version=MANIFEST_VERSION,
             mission=self.mission.mission.name,
@@ -96,8 +97,7 @@ class Plan:
     def check_unchanged(self, *, folders: bool = True) -> None:
         """Refuse (INPUT-CHANGED) inputs that were written to, or replaced, since they were hashed.
 
-        Without ``folders`` neither the images of folders nor inputs in object storage are looked
-        at, as both may take long.
+        ``folders`` also checks folders of images and inputs in object storage, which may take long.
         """
         check_unchanged(self.inputs, folders=folders)
         if folders:
@@ -106,14 +106,14 @@ class Plan:
 
 
 def located(name: str, folder: Path = Path()) -> Path | Place:
-    """Where a path of a mission file leads: from its folder, or a URL to object storage."""
+    """The path from a folder to ``name``, or the place in object storage if ``name`` is a URL."""
     if is_url(name):
         return Place.of(name)
     return folder / name
 
 
 def output_of(mission: Mission, folder: Path) -> Path | Place:
-    """Where the results of a mission go."""
+    """The folder or place of a mission's results; ``folder`` is that of the mission file."""
     output = located(mission.output.path, folder)
     if isinstance(output, Place):
         return output
@@ -126,23 +126,24 @@ def make_plan(
     """Hash the inputs of a mission; relative paths resolve from ``folder``, the mission file's.
 
     An input that has the size and the time of its record in the manifest of an earlier run is not
-    read, and keeps the hash of that record; with ``verify`` each input is read. Refuses inputs that
-    are missing or cannot be read, and results that would replace an input.
+    read, and keeps the hash of that record; with ``verify`` each input is read. ``text_sha256`` is
+    the hash of the mission file; "" if unknown. Refuses inputs that are missing or cannot be read,
+    and results that would replace an input.
     """
     output = output_of(mission, folder)
     refuse_among_results("mission", folder, output)
-    earlier = read_manifest(output, damaged=True)
-    records: dict[str, InputRecord] = {}  # of the earlier run, by role; with ``verify`` none
+    earlier = read_manifest(output, ignore_damaged=True)
+    earlier_records: dict[str, InputRecord] = {}  # by role
     if earlier is not None and not verify:
-        records = {record.role: record for record in earlier.run.inputs}
+        earlier_records = {record.role: record for record in earlier.run.inputs}
     inputs = []
     remotes = {}
     for named in named_inputs(mission):
         place = located(named.name, folder)
-        earlier_record = records.get(named.role)
-        with readable(named, place):
+        earlier_record = earlier_records.get(named.role)
+        with refuse_unreadable(named, place):
             if isinstance(place, Place):
-                in_storage = look_up(named, place)
+                in_storage = look_up_input(named, place)
                 remotes[named.role] = in_storage
                 refuse_among_results(named.role, place, output)
                 inputs.append(remote_input(named, in_storage, earlier_record, verify=verify))
@@ -154,15 +155,15 @@ def make_plan(
         mission=with_camera_files(mission, {item.role: item.path for item in inputs}),
         inputs=tuple(inputs),
         output=output,
-        camera_names=names_of_cameras(mission),
+        camera_names=camera_names_by_block(mission),
         text_sha256=text_sha256,
         remotes=remotes,
     )
 
 
 @contextmanager
-def readable(named: NamedInput, place: Path | Place) -> Iterator[None]:
-    """Turn an error of the operating system about an input into a refusal (InputError)."""
+def refuse_unreadable(named: NamedInput, place: Path | Place) -> Iterator[None]:
+    """Context that turns an OSError about an input into a refusal (InputError)."""
     try:
         yield
     except FileNotFoundError:
@@ -172,7 +173,7 @@ def readable(named: NamedInput, place: Path | Place) -> Iterator[None]:
 
 
 def refuse_missing(named: NamedInput, path: Path) -> None:
-    """Refuse an input that is not there, and a folder in the place of a file (INPUT-FOLDER)."""
+    """Refuse a missing input (INPUT-MISSING), or a folder in place of a file (INPUT-FOLDER)."""
     if path.is_file() or (path.is_dir() and named.may_be_folder):
         return
     if path.is_dir():
@@ -180,29 +181,32 @@ def refuse_missing(named: NamedInput, path: Path) -> None:
     raise messages.input_missing(role=named.role, path=str(path), key=named.key)
 
 
-def local_input(named: NamedInput, path: Path, known: InputRecord | None, *, verify: bool) -> Input:
-    """An input on a disk, hashed; ``known`` is its record in an earlier run, None without any.
+def local_input(
+    named: NamedInput, path: Path, earlier_record: InputRecord | None, *, verify: bool
+) -> Input:
+    """An input on a disk with its hash.
 
-    An input of the size and time of that record is not read. With ``verify`` each file is read,
-    even if another mission of this process has hashed it.
+    ``earlier_record`` is its record in an earlier run, None without one: an input of the same size
+    and time is not read. Otherwise, with ``verify``, each file is read even if another mission of
+    this process has hashed it.
     """
     files = files_of(path, named.program)
     states = tuple(state_of(file) for file in files)
     record = record_of(named, files, states)
-    if known is not None and record.is_like(known):
-        record = known
+    if earlier_record is not None and record.is_like(earlier_record):
+        record = earlier_record
     else:
-        trusted_states = () if verify else states
-        sha256 = hash_input(path, named.program, files, trusted_states)
+        states_of_known_hashes = () if verify else states
+        sha256 = hash_input(path, named.program, files, states_of_known_hashes)
         record = record.with_hash(sha256)
     return Input(record, path, states, named.program)
 
 
-def look_up(named: NamedInput, place: Place) -> RemoteInput:
-    """An input as it is in object storage now.
+def look_up_input(named: NamedInput, place: Place) -> RemoteInput:
+    """The present version of an input in object storage.
 
-    Raises FileNotFoundError where it is not there. Refuses (INPUT-FOLDER) a folder that must be
-    one object.
+    Raises FileNotFoundError if there is none. Refuses (INPUT-FOLDER) a folder in the place of a
+    file.
     """
     if place.is_folder and not named.may_be_folder:
         raise messages.folder_as_input(role=named.role, path=str(place), key=named.key)
@@ -210,13 +214,18 @@ def look_up(named: NamedInput, place: Place) -> RemoteInput:
 
 
 def remote_input(
-    named: NamedInput, in_storage: RemoteInput, known: InputRecord | None, *, verify: bool
+    named: NamedInput,
+    in_storage: RemoteInput,
+    earlier_record: InputRecord | None,
+    *,
+    verify: bool,
 ) -> Input:
-    """An input in object storage, hashed; ``known`` is its record in an earlier run, if any.
+    """An input in object storage with its hash.
 
-    An input of the version in that record keeps the hash of the record. Any other input is copied
-    here and read; so is the file of a camera in any case, because the mission is not understood
-    without the file. ``verify`` makes a new copy even if there is one.
+    ``earlier_record`` is its record in an earlier run, None without one: an input of the same
+    version keeps the hash of the record. Any other input is copied to this machine and read, and
+    the file of a camera always, because it completes the mission. ``verify`` makes a new copy even
+    if there is one.
     """
     record = InputRecord(
         role=named.role,
@@ -227,8 +236,8 @@ def remote_input(
         version=in_storage.version,
     )
     is_of_camera = named.role.startswith("camera ")
-    if known is not None and record.is_like(known) and not is_of_camera:
-        record = known
+    if earlier_record is not None and record.is_like(earlier_record) and not is_of_camera:
+        record = earlier_record
     else:
         copy = remote.fetch(in_storage, anew=verify)
         files = files_of(copy, named.program)
@@ -238,7 +247,7 @@ def remote_input(
 
 
 def with_camera_files(mission: Mission, paths: Mapping[str, Path]) -> Mission:
-    """The mission with what the files of its cameras say; ``paths`` are those of all inputs."""
+    """The mission with its cameras completed by their files; ``paths`` are those of all inputs."""
     cameras = {}
     for name, camera in mission.cameras.items():
         path = paths.get(f"camera {name}")
@@ -246,17 +255,17 @@ def with_camera_files(mission: Mission, paths: Mapping[str, Path]) -> Mission:
     return mission.model_copy(update={"cameras": cameras})
 
 
-def names_of_cameras(mission: Mission) -> dict[str, str]:
-    """The mission's name of each camera, by what a block calls that camera.
+def camera_names_by_block(mission: Mission) -> dict[str, str]:
+    """The mission's name of each camera, by the camera's name in a block.
 
-    "" stands for the only camera of a mission, whatever the block calls it.
+    The only camera of a mission also has the key "", which fits any name in a block.
     """
     names = {}
     for name, camera in mission.cameras.items():
         names[str(camera.camera or name)] = name
     if len(mission.cameras) == 1:
         (only,) = mission.cameras.values()
-        if only.camera is None:  # the mission file does not say what a block calls it
+        if only.camera is None:  # the mission file does not state the name in the block
             names[""] = next(iter(names.values()))
     return names
 
@@ -273,7 +282,8 @@ def refuse_other_mission(plan: Plan, manifest: Manifest | None) -> None:
 def refuse_among_results(role: str, path: Path | Place, output: Path | Place) -> None:
     """Refuse (OUTPUT-OVER-INPUT) an input that a run would remove or replace.
 
-    A folder on a disk and a place in object storage never lie in each other.
+    ``path`` is that of the input. A folder on a disk and a place in object storage are never in
+    each other.
     """
     if isinstance(output, Place) and isinstance(path, Place):
         replaced = remote.would_replace(output, path)
@@ -286,9 +296,9 @@ def refuse_among_results(role: str, path: Path | Place, output: Path | Place) ->
 
 
 def fetch_inputs(plan: Plan) -> None:
-    """Copy the inputs in object storage that have no whole copy here.
+    """Copy the inputs in object storage to this machine, unless there are complete copies.
 
-    Refuses (INPUT-CHANGED) an input whose new copy has another hash than planned.
+    Refuses (INPUT-CHANGED) an input if also a new copy has another hash than the plan.
     """
     for role, in_storage in plan.remotes.items():
         item = plan.input(role)
@@ -307,10 +317,10 @@ def has_planned_hash(item: Input, copy: Path) -> bool:
 
 
 @contextmanager
-def places_named(plan: Plan) -> Iterator[None]:
-    """Let a refusal name inputs and results in object storage by their URLs.
+def urls_in_refusals(plan: Plan) -> Iterator[None]:
+    """Context that replaces paths in the user's cache by their URLs in the text of a refusal.
 
-    Otherwise it would name their copies, and the folder of the results, in the user's cache.
+    They are the copies of inputs, and the folder of the results, of a plan with object storage.
     """
     try:
         yield

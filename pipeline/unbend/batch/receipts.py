@@ -15,13 +15,13 @@ from typing import Any
 _FUNCTIONS = {
     "numpy": {"_frombuffer", "_reconstruct", "scalar", "ndarray", "dtype"},
 }
-"""What pickles of arrays call, by the library."""
+"""Functions and classes that pickles of arrays call, by the library."""
 
 _DIGEST_BYTES = 32  # of SHA-256
 
 
 def packed(value: Any) -> bytes:
-    """A value as bytes, behind their SHA-256."""
+    """A value as bytes: the SHA-256 of the compressed pickle (32 bytes), then that pickle."""
     import zstandard
 
     content = zstandard.ZstdCompressor(1).compress(pickle.dumps(value, protocol=5))
@@ -29,7 +29,7 @@ def packed(value: Any) -> bytes:
 
 
 def unpacked(content: bytes) -> Any:
-    """The value that was packed; None where the bytes are damaged, or were not packed by this code.
+    """The value that `packed` made into bytes; None if they are damaged or not of `packed`.
 
     >>> unpacked(packed({"rows": 3})), unpacked(packed({"rows": 3})[:-1])
     ({'rows': 3}, None)
@@ -68,18 +68,28 @@ class _PlainUnpickler(pickle.Unpickler):
         """
         if (module, name) == ("builtins", "getattr"):
             return member_of
-        room = module.partition(".")[0]
-        if name in _FUNCTIONS.get(room, ()):
+        library = module.partition(".")[0]
+        if name in _FUNCTIONS.get(library, ()):
             return super().find_class(module, name)
-        if room == "unbend":
-            plain = super().find_class(module, name)
-            if isinstance(plain, type) and (issubclass(plain, tuple | Enum) or is_dataclass(plain)):
-                return plain
+        if library == "unbend":
+            found_class = super().find_class(module, name)
+            if is_plain(found_class):
+                return found_class
         raise pickle.UnpicklingError(f"{module}.{name} is not a plain value")
 
 
+def is_plain(candidate: Any) -> bool:
+    """Whether an object is a named tuple, an enumeration or a dataclass."""
+    if not isinstance(candidate, type):
+        return False
+    return issubclass(candidate, tuple | Enum) or is_dataclass(candidate)
+
+
 def member_of(enumeration: Any, name: str) -> Any:
-    """A member of an enumeration, which Python before 3.11.4 writes as its attribute."""
+    """The member of an enumeration; UnpicklingError for any other object or name.
+
+    It takes the place of ``getattr``, which pickles of Python before 3.11.4 call for a member.
+    """
     if isinstance(enumeration, EnumType) and name in enumeration.__members__:
         return enumeration[name]
     raise pickle.UnpicklingError(f"{name} is not a member of an enumeration")

@@ -28,17 +28,17 @@ from unbend.tables.manifest.results import EffectRecord
 from unbend.tables.observations import Batch
 from unbend.units import ARCSEC, Array, Integers, evenly_spaced
 
-_ROWS = 1000  # of the sample that are corrected again and again for `changes_text`
+_ROWS = 1000  # of the sample, which `changes_text` corrects several times
 
 _SAME_UNDULATION_M = 0.1
-"""Within it the log's own undulation is the one that is stated."""
+"""Up to this difference the undulation of the log counts as equal to the stated one."""
 
-_WIDEST_DEG = 85.0  # off the axis: of a fisheye that sees the horizon, the ground up to there
-_SMALLEST_COSINE = 0.02  # of a camera's axis from straight down: farther ones see no ground
+_WIDEST_DEG = 85.0  # off the axis: limits the footprint of a fisheye that sees the horizon
+_SMALLEST_COSINE = 0.02  # of the angle between axis and nadir: limits the distance to the ground
 
-# By how much `changed_setups` changes what the correction is made of.
-_MORE_GROUND_M = 10.0
-_MORE_HEIGHT_M = 10.0
+# Changes that `changes_text` applies to ground, cameras and air, one at a time.
+_MORE_GROUND_M = 10.0  # higher ground
+_MORE_HEIGHT_M = 10.0  # higher cameras
 _MORE_TILT_DEG = 0.5
 _WARMER_K = 5.0
 
@@ -71,7 +71,7 @@ def input_lines(checked: CheckedMission) -> list[Line]:
 
 
 def rehearsal_lines(checked: CheckedMission) -> list[Line]:
-    """What a run would do, each line with its label."""
+    """The expected properties of a run, from corrections of a sample; each line with its label."""
     corrected = checked.corrected
     facts = corrected.facts
     lines = [
@@ -93,7 +93,10 @@ def rehearsal_lines(checked: CheckedMission) -> list[Line]:
 
 
 def datum_text(corrected: CorrectedMission) -> str:
-    """What heights count from, and the undulation that relates them."""
+    """The reference surfaces of the heights of cameras and ground, and the undulation of the geoid.
+
+    The undulation [m] is the ellipsoidal height less the height above sea level of the stations.
+    """
     facts = corrected.facts
     heights = corrected.prepared.flight.heights
     height_channel = corrected.prepared.flight.roles.get("height")
@@ -122,16 +125,16 @@ def datum_text(corrected: CorrectedMission) -> str:
 def heights_text(facts: Facts) -> str:
     """Heights of ground, take-off and cameras."""
     take_off = "unknown" if facts.takeoff is None else f"{facts.takeoff.h_msl_m:.0f} m"
-    above = facts.camera_height_m - facts.rows.h_g_m
+    above_ground = facts.camera_height_m - facts.rows.h_g_m
     camera_heights = facts.stations.h_msl_m[facts.stations.ok]
     return (
         f"ground {_span(facts.rows.h_g_m, 4)} m, take-off {take_off}, cameras "
-        f"{_span(camera_heights, 5)} m; above ground {_span(above, 4)} m"
+        f"{_span(camera_heights, 5)} m; above ground {_span(above_ground, 4)} m"
     )
 
 
 def shift_text(facts: Facts) -> str:
-    """How far image points and points on the ground move."""
+    """How far the corrections move image points [px] and points on the ground [m], by camera."""
     pixels = spans_by_camera(facts, facts.rows.shift_px, 3)
     ground = spans_by_camera(facts, facts.rows.shift_ground_m, 3)
     return f"{pixels} px; {ground} m on the ground"
@@ -145,61 +148,66 @@ def rows_text(corrected: CorrectedMission) -> str:
 
 
 def air_text(facts: Facts) -> str:
-    """What the air does to a ray, against the standard atmosphere."""
+    """The refraction of one ray in the flight's air, compared with the standard atmosphere."""
     effects = [EffectRecord.of(effect) for effect in facts.effects[:1]]
     lines = effect_lines(effects, facts.adjustment.standard.name)
     return "; ".join(lines) or "no ray points down"
 
 
 def spans_by_camera(facts: Facts, values: Array, digits: int) -> str:
-    """Lowest to highest of values of the rows, of each camera."""
+    """The lowest and highest of ``values`` (n,) of the sampled rows, for each camera.
+
+    ``digits`` is the number of significant digits.
+    """
     spans = {name: _span(facts.of_camera(name, values), digits) for name in facts.cameras}
     return _by_camera(spans)
 
 
 def _span(values: Array, digits: int) -> str:
-    """Lowest to highest of the finite values."""
-    known_values = values[np.isfinite(values)]
-    if not known_values.size:
+    """The lowest and highest finite value, as "2 to 5"; "unknown" if none is finite."""
+    finite_values = values[np.isfinite(values)]
+    if not finite_values.size:
         return "unknown"
-    lowest = _rounded(known_values.min(), digits)
-    highest = _rounded(known_values.max(), digits)
+    lowest = _rounded(finite_values.min(), digits)
+    highest = _rounded(finite_values.max(), digits)
     return lowest if lowest == highest else f"{lowest} to {highest}"
 
 
 def _rounded(value: float, digits: int) -> str:
-    """A number with some digits, never with an exponent."""
+    """A number with so many significant digits; from 10,000 on an integer, never an exponent."""
     return f"{value:.{digits}g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
 def _by_camera(texts: Mapping[str, str]) -> str:
+    """The texts of cameras, by their names, in one line."""
     return ", ".join(f"{name} {text}" for name, text in texts.items())
 
 
 def camera_text(facts: Facts, name: str) -> str:
     """Field of view of a camera, ground sampling distance, and footprint across its axis.
 
-    The latter two are those at the distance to the ground along the axis, from the median height.
+    Sampling distance and footprint are computed at the distance to the ground along the axis, from
+    the median height above ground.
     """
     camera = facts.cameras[name]
-    above = facts.of_camera(name, facts.camera_height_m - facts.rows.h_g_m)
-    height = float(np.median(above)) if above.size else math.nan
-    cosine = math.cos(math.radians(facts.axis_deg(name)))  # of the axis from straight down
-    distance = height / max(cosine, _SMALLEST_COSINE)
+    above_ground = facts.of_camera(name, facts.camera_height_m - facts.rows.h_g_m)
+    height_m = float(np.median(above_ground)) if above_ground.size else math.nan
+    cosine = math.cos(math.radians(facts.axis_deg(name)))
+    distance_m = height_m / max(cosine, _SMALLEST_COSINE)
     angles = []
     sizes = []
-    for view_rad in field_of_view(camera):
+    for view_rad in field_of_view(camera):  # horizontal, vertical
         half_rad = min(view_rad / 2.0, math.radians(_WIDEST_DEG))
         angles.append(f"{math.degrees(view_rad):.0f}")
-        sizes.append(f"{distance * 2.0 * math.tan(half_rad):.0f}")
+        sizes.append(f"{distance_m * 2.0 * math.tan(half_rad):.0f}")
     return (
-        f"{name} {' x '.join(angles)} deg, {distance / camera.fx_px:.2g} m a pixel, "
+        f"{name} {' x '.join(angles)} deg, {distance_m / camera.fx_px:.2g} m a pixel, "
         f"{' x '.join(sizes)} m across the axis"
     )
 
 
 def times_text(corrected: CorrectedMission) -> str:
-    """When the log begins and ends, and when the events do."""
+    """The first and last time of the log and of the exposures; else the stated date."""
     exposures = corrected.stations.time_ns
     times = {
         "log": corrected.prepared.track().time_ns,
@@ -223,19 +231,22 @@ def times_text(corrected: CorrectedMission) -> str:
 
 
 def deflection_text(facts: Facts) -> str:
-    """What the deflection of the vertical does to directions that were levelled by gravity."""
+    """The median deflection of the vertical, and the shift on the ground if it is not removed.
+
+    Directions that were levelled by gravity are turned by it.
+    """
     ok = facts.stations.ok
     lat_rad = facts.stations.lat_rad[ok]
     lon_rad = facts.stations.lon_rad[ok]
-    above = facts.camera_height_m - facts.rows.h_g_m
-    above = above[np.isfinite(above)]
-    if not lat_rad.size or not above.size:
+    above_ground = facts.camera_height_m - facts.rows.h_g_m
+    above_ground = above_ground[np.isfinite(above_ground)]
+    if not lat_rad.size or not above_ground.size:
         return "unknown"
     north, east = package_geoid().deflection(lat_rad, lon_rad)
-    deflection = float(np.median(np.hypot(north, east)))
-    metres = deflection * float(np.median(above))
+    deflection_rad = float(np.median(np.hypot(north, east)))
+    shift_m = deflection_rad * float(np.median(above_ground))
     return (
-        f"deflected by {deflection / ARCSEC:.1f} arcsec (EGM96), {metres:.2f} m on the ground: not "
+        f"deflected by {deflection_rad / ARCSEC:.1f} arcsec (EGM96), {shift_m:.2f} m on the ground: not "
         "removed unless the trajectory did"
     )
 
@@ -247,7 +258,7 @@ def changes_text(corrected: CorrectedMission) -> str:
     rows = corrected_rows[evenly_spaced(corrected_rows.size, _ROWS)]
     if not rows.size:
         return "unknown: no row is corrected"
-    # Corrections alone, without their standard deviations.
+    # Standard deviations are not needed here.
     setup = replace(corrected.setup, uncertainties=(None,) * len(corrected.setup.rays))
     h_g = facts.rows.h_g_m[rows]
     before = corrections_of(facts, rows, h_g, setup)
@@ -268,17 +279,17 @@ def changes_text(corrected: CorrectedMission) -> str:
 
 
 def _median_text(moved_px: Array) -> str:
-    """The median of what is known of shifts (n,) [px]."""
-    known_px = moved_px[np.isfinite(moved_px)]
-    if not known_px.size:
+    """The median of the finite shifts among (n,) [px]; "unknown" if none is finite."""
+    finite_px = moved_px[np.isfinite(moved_px)]
+    if not finite_px.size:
         return "unknown"
-    return f"{np.median(known_px):.2g}"
+    return f"{np.median(finite_px):.2g}"
 
 
 def changed_setups(
     corrected: CorrectedMission, setup: CorrectionSetup
 ) -> dict[str, CorrectionSetup]:
-    """The setup with higher cameras, with tilted cameras, and with warmer air, by a label."""
+    """Three variants of a setup by label: higher cameras, tilted cameras, warmer air."""
     exposures = setup.exposures
     higher = replace(exposures, height_m=exposures.height_m + _MORE_HEIGHT_M)
     about_x = Rotation.from_rotvec([math.radians(_MORE_TILT_DEG), 0.0, 0.0]).as_matrix()
@@ -295,10 +306,13 @@ def changed_setups(
 
 
 def corrections_of(facts: Facts, rows: Integers, h_g: Array, setup: CorrectionSetup) -> Corrections:
-    """The corrections of some rows of the sample, with ``h_g`` (n,) as heights of the ground."""
+    """Correct rows of the sample with other ground heights.
+
+    ``rows`` (n,) are indices into the sample, ``h_g`` (n,) [m above sea level] are their heights.
+    """
     x_px = facts.rows.x_px[rows]
     y_px = facts.rows.y_px[rows]
-    names = pa.nulls(rows.size, pa.string())
+    names = pa.nulls(rows.size, pa.string())  # corrections do not depend on names
     batch = Batch(
         image=names,
         point=names,
@@ -310,12 +324,16 @@ def corrections_of(facts: Facts, rows: Integers, h_g: Array, setup: CorrectionSe
         users={},
         distance_m=facts.rows.distance_m[rows],
     )
-    ground = GroundHeights(h_g, np.full(rows.size, np.nan))
+    unknown_sigma_m = np.full(rows.size, np.nan)
+    ground = GroundHeights(h_g, unknown_sigma_m)
     return correct_batch(batch, facts.rows.station[rows], ground, setup)
 
 
 def warmer(profile: Profile, by_k: float) -> Profile:
-    """The air ``by_k`` warmer at every height, with the same pressure at the bottom."""
+    """The profile with the temperature ``by_k`` [K] higher at every height.
+
+    The pressure at the bottom stays, that above follows from it.
+    """
     layers = profile.layers
     # `layers` has the vapour at the lower edges; here it is needed at the top of the last one, too.
     top_vapour = layers.vapour[-1] + layers.vapour_slope[-1] * (layers.edge[-1] - layers.edge[-2])

@@ -1,10 +1,10 @@
-"""The door to object storage: inputs are fetched before a run, results are published after it.
+"""Object storage: inputs are copied from it before a run, results are published there after it.
 
-Below a place of results lie ``attempts/<uuid>/`` with the files of a run,
+Below the place of results are ``attempts/<uuid>/`` with the files of a run,
 ``runs/<fingerprint>.json``, which the first writer of that run creates, and ``manifest.json``,
-which names the attempt to read. A writer replaces the manifest only where it is still the one that
-was there before its run. A writer publishes no attempt but its own, and so may remove its attempt
-at any time before it is published.
+which names the attempt to read. A writer replaces the manifest only if it is still the one that
+was there before its run. A writer publishes only its own attempt, and so may remove this attempt at
+any time before it is published.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ __all__ = ["Place", "is_url"]
 # Inputs
 
 _MOST_BYTES = 50_000_000_000
-"""Bytes of copies of inputs. Beyond it copies are removed whose last use is over a day ago, those
-used longest ago first."""
+"""Bytes of copies of inputs. If there are more, copies with their last use over a day ago are
+removed, the oldest use first."""
 
 _STORE_VARIABLES = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AZURE_STORAGE_ACCOUNT_NAME")
 """Variables of the environment that say which store a URL leads to."""
@@ -49,7 +49,7 @@ _STORE_VARIABLES = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AZURE_STORAGE_AC
 class RemoteInput:
     """An input in object storage, in one version.
 
-    ``version`` changes where its content does, or where its URL leads to another store.
+    ``version`` is a hash. It differs if the content changes, or if the URL leads to another store.
     """
 
     place: Place
@@ -59,16 +59,19 @@ class RemoteInput:
 
     @property
     def copy(self) -> Path:
-        """Where the copy of the input is, or will be made; it ends with the name of the input."""
+        """The path of the copy on this machine, which may not be made yet.
+
+        It ends with the name of the input.
+        """
         key = hashlib.sha256(f"{self.place}\0{self.version}".encode()).hexdigest()[:32]
         return Path(user_cache_folder()) / "copies" / key / self.place.name
 
 
 def objects_of(place: Place) -> dict[str, dict[str, Any]]:
-    """What storage says of the objects of an input, by their names below the place.
+    """Size, version and time of each object of an input, by its name below the place.
 
-    An input that is one object has that object under the name "". A folder has all objects below
-    it. Raises FileNotFoundError without any.
+    An input that is one object has the name "". A folder has all objects below it. Raises
+    FileNotFoundError if there are none.
     """
     if not place.is_folder:
         return {"": place.head()}
@@ -82,12 +85,12 @@ def objects_of(place: Place) -> dict[str, dict[str, Any]]:
 
 
 def look_up(place: Place) -> RemoteInput:
-    """An input as it is in storage now; raises FileNotFoundError without one."""
+    """The present version of an input in object storage; FileNotFoundError if there is none."""
     objects = objects_of(place)
     version_parts = [os.environ.get(name) for name in _STORE_VARIABLES]
     for name, meta in sorted(objects.items()):
-        changed = meta["e_tag"] or meta["last_modified"]
-        version_parts += [name, str(changed), str(meta["version"]), str(meta["size"])]
+        tag_or_time = meta["e_tag"] or meta["last_modified"]  # some stores have no tags
+        version_parts += [name, str(tag_or_time), str(meta["version"]), str(meta["size"])]
     newest = max(meta["last_modified"] for meta in objects.values())
     return RemoteInput(
         place=place,
@@ -98,7 +101,7 @@ def look_up(place: Place) -> RemoteInput:
 
 
 def fetch(remote: RemoteInput, *, anew: bool = False) -> Path:
-    """Copy an input, if it has no copy yet, or ``anew``; returns the path of the copy.
+    """Copy an input if it has no copy yet, with ``anew`` always; returns the path of the copy.
 
     Refuses (INPUT-CHANGED) an object that is changed or removed while it is read.
     """
@@ -110,7 +113,7 @@ def fetch(remote: RemoteInput, *, anew: bool = False) -> Path:
         if not copy.exists():
             _make_copy(remote, folder)
             remove_oldest(str(folder.parent), _MOST_BYTES)
-        os.utime(folder)  # its last use, by which `remove_oldest` chooses
+        os.utime(folder)  # sets the time of the last use, by which `remove_oldest` chooses
     return copy
 
 
@@ -127,7 +130,7 @@ def _make_copy(remote: RemoteInput, folder: Path) -> None:
         refuse_changed(remote, role=place.name)
         with suppress(OSError):  # another process was faster
             draft.replace(folder)
-    except FileNotFoundError:  # an object was removed since
+    except FileNotFoundError:  # an object was removed after it was listed
         raise messages.input_changed(role=place.name, path=str(place)) from None
     finally:
         shutil.rmtree(draft, ignore_errors=True)
@@ -147,19 +150,19 @@ _WAIT_S = 10.0
 """How long a writer waits for a faster writer of the same run to publish it."""
 
 _CLEARING_S = 4.0
-"""How long a run that failed clears away: who interrupts it is promised an end within 5 s."""
+"""Time for a failed run to remove its files; an interrupted command ends within 5 s."""
 
-_CLOCK_TOLERANCE = timedelta(minutes=15)  # beyond it stores take no signature
+_CLOCK_TOLERANCE = timedelta(minutes=15)  # stores reject the signatures of clocks beyond it
 
-_IF_ABSENT = None  # the condition of a write: that there is no object yet
+_IF_ABSENT = None  # the condition of a write that there is no object yet
 _NEVER = {"e_tag": '"00000000000000000000000000000000"', "version": "1"}
 """A version that no object has."""
 
 
-def read_manifest(place: Place, *, damaged: bool = False) -> Manifest | None:
+def read_manifest(place: Place, *, ignore_damaged: bool = False) -> Manifest | None:
     """The manifest published at a place; None without a manifest.
 
-    A damaged manifest is refused; with ``damaged`` it counts as none.
+    A damaged manifest is refused; with ``ignore_damaged`` None is returned for it.
     """
     file = place / MANIFEST
     content = file.read()[0]
@@ -168,42 +171,46 @@ def read_manifest(place: Place, *, damaged: bool = False) -> Manifest | None:
     try:
         return parse_manifest(content, str(file), of_attempt=True)
     except UnbendError:
-        if damaged:
+        if ignore_damaged:
             return None
         raise
 
 
 def attempt_of(place: Place, manifest: Manifest) -> Place:
-    """Where the files of a published run lie."""
+    """The place of the files of a published run, which its manifest names."""
     return place / f"attempts/{manifest.run.attempt}"
 
 
 def copy_of_attempt(place: Place, manifest: Manifest) -> Path:
-    """A copy of the files of a published run; raises FileNotFoundError if they are gone."""
+    """Copy the files of a published run; returns the folder of the copy.
+
+    Raises FileNotFoundError if the files are gone.
+    """
     attempt = Place.of(f"{attempt_of(place, manifest)}/")
     return fetch(look_up(attempt))
 
 
-def find_damage(place: Place, manifest: Manifest, *, read: bool = True) -> list[str]:
-    """What is missing or changed of a published run, one line each; empty when nothing is.
+def find_damage(place: Place, manifest: Manifest, *, hash_all: bool = True) -> list[str]:
+    """What is missing or changed among the files of a published run, one text each.
 
-    Without ``read`` only sizes are compared: no file of an attempt is written twice.
+    ``hash_all`` reads and hashes all files. Without it only sizes are compared: no file of an
+    attempt is written twice.
     """
     attempt = attempt_of(place, manifest)
     sizes = {name: int(meta["size"]) for name, meta in attempt.objects().items()}
 
     def hash_of(name: str) -> str | None:
-        return (attempt / name).sha256() if read else None
+        return (attempt / name).sha256() if hash_all else None
 
     return damage_of(manifest, sizes, hash_of)
 
 
 def rehearse(place: Place, *, writes: bool = False) -> None:
-    """Try whether results can be published at a place, before hours are spent on them.
+    """Check that results can be published at a place, before a run that may take hours.
 
-    Refuses credentials that may not write, a clock that is off, and a store that ignores the
-    conditions of a write. One write is tried that must fail; ``writes`` also writes an object and
-    removes it.
+    Refuses credentials that may not write, a wrong clock, and a store that ignores the conditions
+    of a write. Without ``writes`` only one write is tried, with a condition that cannot be met, and
+    the clock is not checked; ``writes`` also writes an object and removes it.
     """
     name = f"attempts/{uuid.uuid4().hex}/probe"
     probe = place / name
@@ -221,15 +228,15 @@ def rehearse(place: Place, *, writes: bool = False) -> None:
         if not heeds_conditions:
             raise messages.writes_unconditional(url=str(place))
     except BaseException:
-        # Also a probe that the store should not have written.
-        clear_away(partial(place.remove, [name]))
+        # Removes also a probe that the store wrote although its condition was not met.
+        try_to_remove(partial(place.remove, [name]))
         raise
 
 
-def clear_away(remove: Callable[[], None]) -> None:
-    """Remove what a run that failed has written, as far as that can be done in four seconds.
+def try_to_remove(remove: Callable[[], None]) -> None:
+    """Call ``remove``, which removes what a failed run has written, for at most four seconds.
 
-    `remove_leftovers` finds what is left.
+    Its errors are ignored: `remove_leftovers` can remove later what remains.
     """
     with suppress(UnbendError, TimeoutError):
         within(_CLEARING_S, remove)
@@ -238,60 +245,61 @@ def clear_away(remove: Callable[[], None]) -> None:
 class Publication:
     """A run that will be published at a place, and what is published there before.
 
-    The manifest is replaced only if it is still the one that was there when this was made.
+    The manifest at the place is replaced only if it is still the one that was there when this
+    object was made.
     """
 
     def __init__(self, place: Place, fingerprint: str) -> None:
         self._place = place
         self._fingerprint = fingerprint
         self._run = place / run_name(fingerprint)  # the object of the first writer of this run
-        # Versions of both objects before this run; None for an object that is not there.
+        # Versions of manifest and run object before this run; None if the object is not there.
         self._version = (place / MANIFEST).read()[1]
         self._run_version = self._run.read()[1]
-        self._before = read_manifest(place, damaged=True)
+        self._before = read_manifest(place, ignore_damaged=True)
 
     def publish(self, folder: Path, manifest: Manifest, advance: Callable[[int], None]) -> Manifest:
-        """Upload the results of a folder and publish them; returns the manifest that is then there.
+        """Upload the results of a folder and publish them; returns the manifest then published.
 
-        Of several writers of the same run the first wins; the others return the manifest of the
-        first. Refuses (OutputInUseError) if another run was published since. ``advance`` is called
-        with the number of bytes of each file.
+        If several writers make the same run, the first one publishes it, and the others return the
+        manifest of the first. Refuses (OutputInUseError) if another run was published since this
+        object was made. ``advance`` is called with the number of bytes of each file.
         """
         attempt = uuid.uuid4().hex
-        of_attempt = manifest.with_values({"attempt": attempt})
-        content = manifest_text(of_attempt).encode()
+        manifest_of_attempt = manifest.with_values({"attempt": attempt})
+        content = manifest_text(manifest_of_attempt).encode()
         by_another: Manifest | None = None
         try:
-            self._upload(folder, of_attempt, advance)
+            self._upload(folder, manifest_of_attempt, advance)
             is_first = self._run.put(content, self._run_version)
             if not is_first:
                 by_another = self._published_by_another_writer()
         except BaseException:
-            clear_away(partial(self._remove, attempt))
+            try_to_remove(partial(self._remove, attempt))
             raise
         published = by_another
         if by_another is None:
             # This writer is the first, or the first one did not publish in time. The attempt is not
-            # removed if this fails: it may be published already.
-            published = self._replace_manifest(of_attempt, content)
+            # removed if the next step fails: it may be published already.
+            published = self._replace_manifest(manifest_of_attempt, content)
         is_own = published is not None and published.run.attempt == attempt
         if not is_own:
             self._remove(attempt)
         if published is None or published.run.fingerprint != self._fingerprint:
-            # This run is refused, and so no later writer of it must wait for it.
+            # This run is refused. Its run object would make later writers of it wait in vain.
             self._place.remove([run_name(self._fingerprint)])
             raise messages.published_meanwhile(url=str(self._place))
-        self._remove_former(published)
+        self._remove_previous(published)
         return published
 
     def _replace_manifest(self, manifest: Manifest, content: bytes) -> Manifest | None:
         """Publish a manifest, if the one from before this run is still at the place.
 
-        Returns the manifest that is at the place then, its own or another; None without any.
-        ``content`` is the manifest as it is written.
+        Returns the manifest that is then at the place, this or another; None if there is none.
+        ``content`` is ``manifest`` as bytes.
         """
         if not (self._place / MANIFEST).put(content, self._version):
-            # Refused, or done and the answer lost: what is there now says which.
+            # Refused; or written, but the answer was lost. The manifest at the place shows which.
             return read_manifest(self._place)
         return manifest
 
@@ -301,7 +309,7 @@ class Publication:
         for item in manifest.run.outputs:
             (attempt / item.name).put(folder / item.name, "overwrite")
             advance(item.bytes)
-        damage = find_damage(self._place, manifest, read=False)
+        damage = find_damage(self._place, manifest, hash_all=False)
         if damage:
             raise messages.request_failed(
                 url=str(self._place), verb="write", answer=", ".join(damage)
@@ -310,19 +318,19 @@ class Publication:
     def _published_by_another_writer(self) -> Manifest | None:
         """Wait for the manifest of the same run by a faster writer; None if none comes in 10 s.
 
-        The manifest that was there before does not count, though it may be of the same run.
+        The manifest from before this run does not count, although it may be of the same run.
         """
         deadline = time.monotonic() + _WAIT_S
         while time.monotonic() < deadline:
-            now = read_manifest(self._place, damaged=True)
+            now = read_manifest(self._place, ignore_damaged=True)
             is_same_run = now is not None and now.run.fingerprint == self._fingerprint
             if is_same_run and now != self._before:
                 return now
             time.sleep(0.2)
         return None
 
-    def _remove_former(self, published: Manifest) -> None:
-        """Remove what was published before, if something else is published now."""
+    def _remove_previous(self, published: Manifest) -> None:
+        """Remove the files of the run that was published before, unless it is ``published`` now."""
         before = self._before
         if before is None or before.run.attempt == published.run.attempt:
             return
@@ -332,19 +340,19 @@ class Publication:
 
     def _remove(self, attempt: str) -> None:
         """Remove the files of an attempt."""
-        of_attempt = self._place / f"attempts/{attempt}"
-        of_attempt.remove(of_attempt.objects())
+        files = self._place / f"attempts/{attempt}"
+        files.remove(files.objects())
 
 
 def run_name(fingerprint: str) -> str:
-    """The object that the first writer of a run creates."""
+    """The name of the object that the first writer of a run creates."""
     return f"runs/{fingerprint}.json"
 
 
 def would_replace(output: Place, place: Place) -> bool:
-    """Whether a run that publishes at ``output`` would replace an input, or be written into it.
+    """Whether a run that publishes at ``output`` would replace the input at ``place``.
 
-    ``place`` is the input: an object or a folder.
+    The input is an object or a folder. Also True if the run would write into that folder.
     """
     if place.is_folder and output.is_below(place):
         return True
@@ -355,19 +363,20 @@ _OBJECT_OF_A_RUN = re.compile(
     r"(?P<start>(?:.+/)?)"
     r"(?:attempts/(?P<attempt>[0-9a-f]{32})/(?P<file>.+)|runs/(?P<run>[0-9a-f]{64})\.json)"
 )
-"""Names of objects that runs publish, from a place on: a file of an attempt, or a run."""
+"""Names, below a place, of the objects that runs publish: files of attempts, and run objects."""
 
 _FILE_OF_AN_ATTEMPT = re.compile(
     r"(observations/part-\d{5,}|stations|profile)\.parquet|report\.html|probe"
 )
-_YOUNG = timedelta(hours=1)  # an upload of this age may still go on
+_YOUNG = timedelta(hours=1)  # up to this age an upload may still go on
 
 
 class _Leftovers:
-    """Attempts and runs below a place that no published manifest names.
+    """Attempts and run objects below a place that no published manifest names.
 
-    ``groups`` : the names of the objects of each attempt or run, by the name of that attempt or
-    run. A group with an object that no run writes is another program's, and left out.
+    ``objects`` : size, version and time of all objects below the place, by name. ``groups`` : the
+    names of the objects of each attempt or run object, by its own name. A group with an object that
+    no run writes belongs to another program, and is left out.
     """
 
     def __init__(self, place: Place) -> None:
@@ -392,7 +401,8 @@ class _Leftovers:
     def _is_published(self, match: re.Match[str]) -> bool:
         """Whether a published manifest names the attempt or the run of an object.
 
-        The manifest is read after the objects were listed, so that it names all that are in use.
+        ``match`` is that of its name with `_OBJECT_OF_A_RUN`. The manifest is read after the
+        objects were listed, so that it names all that are in use.
         """
         start = match["start"]
         if start not in self._published:
@@ -402,7 +412,10 @@ class _Leftovers:
         return (match["attempt"] or match["run"]) in self._published[start]
 
     def _is_ours(self, name: str, match: re.Match[str]) -> bool:
-        """Whether a run of this program wrote an object: by its name, or by its content."""
+        """Whether a run of this program wrote an object; ``match`` is that of its name.
+
+        A file of an attempt is recognised by its name, a run object by its content.
+        """
         if match["attempt"]:
             return _FILE_OF_AN_ATTEMPT.fullmatch(match["file"]) is not None
         content = (self._place / name).read()[0] or b""
@@ -417,8 +430,9 @@ class _Leftovers:
 def remove_leftovers(place: Place, *, recent: bool = False) -> tuple[list[str], int]:
     """Remove what killed runs left at a place and below it.
 
-    Returns what was removed, and how many leftovers stay: those of the last hour, unless ``recent``
-    is set, because their run may go on. Objects of other programs stay, and are not counted.
+    Leftovers of the last hour stay, because their run may go on; ``recent`` removes them, too.
+    Returns the URLs of the removed leftovers, and the number of those that stay. Objects of other
+    programs stay, and are not counted.
     """
     leftovers = _Leftovers(place)
     removed = []

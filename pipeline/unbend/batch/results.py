@@ -8,28 +8,29 @@ from unbend.config.other_files import results_folder_of
 from unbend.tables.manifest.whole import Manifest
 
 
-def read_manifest(output: Path | Place, *, damaged: bool = False) -> Manifest | None:
+def read_manifest(output: Path | Place, *, ignore_damaged: bool = False) -> Manifest | None:
     """The manifest of a run's results; None without a manifest.
 
-    A damaged manifest is refused; with ``damaged`` it counts as none.
+    A damaged manifest is refused; with ``ignore_damaged`` None is returned for it.
     """
     if isinstance(output, Place):
-        return remote.read_manifest(output, damaged=damaged)
-    return store.read_manifest(output, damaged=damaged)
+        return remote.read_manifest(output, ignore_damaged=ignore_damaged)
+    return store.read_manifest(output, ignore_damaged=ignore_damaged)
 
 
-def find_damage(output: Path | Place, manifest: Manifest, *, read: bool = True) -> list[str]:
-    """What is missing or changed of a run's results, one line each; empty when nothing is.
+def find_damage(output: Path | Place, manifest: Manifest, *, hash_all: bool = True) -> list[str]:
+    """What is missing or changed among the results of a run, one text each.
 
-    Without ``read`` only files are read that changed after the manifest was written.
+    ``hash_all`` reads and hashes all files. Without it only those are read that changed after the
+    manifest was written; in object storage none is read.
     """
     if isinstance(output, Place):
-        return remote.find_damage(output, manifest, read=read)
-    return store.find_damage(output, manifest, read=read)
+        return remote.find_damage(output, manifest, hash_all=hash_all)
+    return store.find_damage(output, manifest, hash_all=hash_all)
 
 
 def manifest_of_run(output: Path | Place) -> Manifest:
-    """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) a place without."""
+    """The manifest of a finished run; refuses (VERIFY-NO-MANIFEST) an output without one."""
     manifest = read_manifest(output)
     if manifest is not None:
         return manifest
@@ -49,7 +50,10 @@ def manifest_of_run(output: Path | Place) -> Manifest:
 
 
 def verify_run(output: Path | Place) -> Manifest:
-    """The manifest of a run whose results are whole and unchanged; refuses any other."""
+    """The manifest of a run, after a check that its results are complete and unchanged.
+
+    Refuses missing or changed results (VERIFY-DAMAGED), and an output without a manifest.
+    """
     manifest = manifest_of_run(output)
     damage = find_damage(output, manifest)
     if not damage:

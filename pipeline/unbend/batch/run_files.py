@@ -16,22 +16,25 @@ from unbend.tables.writing import table_of_profiles, table_of_stations, write_pa
 
 @dataclass(frozen=True)
 class PartsOfRun:
-    """Parts as ``observations/part-*.parquet`` of a run, each with a receipt when it is written.
+    """The parts of a run's observations as files ``observations/part-*.parquet``.
 
-    ``check`` refuses changed inputs. It is called before a part takes its name, and again before
-    its receipt is written.
+    Each part that is finished has a receipt. ``check`` raises an error if an input was changed. It
+    is called before a part gets its name, and again before its receipt is written.
     """
 
     folder: RunFolder
     check: Callable[[], None] = lambda: None
 
     def finished(self, number: int) -> Statistics | None:
-        """The counts of a part that an earlier run finished; None where it must be made."""
+        """The counts of a part that an earlier run finished; None if the part must be made."""
         statistics: Statistics | None = self.folder.read_receipt(name_of_part(number))
         return statistics
 
     def write(self, part: CorrectedPart) -> Statistics:
-        """Write, seal and receipt a part; returns its counts. Called on threads."""
+        """Write a part, seal it, and write its receipt; returns the counts of the part.
+
+        Several threads call this at the same time.
+        """
         name = name_of_part(part.number)
         with atomic_write(self.folder.place(name)) as draft:
             write_parquet(part.table, draft)
@@ -43,7 +46,7 @@ class PartsOfRun:
 
 
 def name_of_part(number: int) -> str:
-    """The file of a part in the folder of a run."""
+    """The name of the file of a part, counted from 0, in the folder of a run."""
     return f"observations/part-{number:05d}.parquet"
 
 
@@ -71,7 +74,7 @@ def correct_into(
             missing.append(number)
         else:
             finished[number] = statistics
-    made = correct_parts(  # yields the counts of the missing parts, in their order
+    counts_of_missing = correct_parts(  # a generator, in the order of ``missing``
         observations,
         setup,
         parts.write,
@@ -80,9 +83,9 @@ def correct_into(
         metadata=metadata,
     )
     total = Statistics.of(setup.cameras)
-    with closing(made):
+    with closing(counts_of_missing):
         for number in range(count):
-            statistics = finished[number] if number in finished else next(made)
+            statistics = finished[number] if number in finished else next(counts_of_missing)
             total.merge(statistics)
             progress(statistics.rows)
     return total

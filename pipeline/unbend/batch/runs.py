@@ -1,4 +1,4 @@
-"""A mission is run into its folder: locked, hashed, resumed, published; rehearsed; looked at."""
+"""Run a mission into a folder or a place in object storage; rehearse it; tell why it would run."""
 
 import shutil
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ from unbend.batch import messages, opening, remote, store
 from unbend.batch.differences import reasons_to_run
 from unbend.batch.executors import Outcome
 from unbend.batch.input_files import Input
-from unbend.batch.plan import Plan, fetch_inputs, make_plan, places_named, refuse_other_mission
+from unbend.batch.plan import Plan, fetch_inputs, make_plan, refuse_other_mission, urls_in_refusals
 from unbend.batch.remote import Place
 from unbend.batch.results import read_manifest
 from unbend.batch.run_files import PartsOfRun, correct_into, write_tables
@@ -51,7 +51,7 @@ def run_mission(
     verify_inputs: bool = False,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Run one mission, unless an earlier run has made the results that it would make.
+    """Run one mission, unless an earlier run has made the same results.
 
     ``mission`` is a mission file, or what `load_mission` gives, which may have been changed since.
     ``force`` runs the mission in any case. With ``verify_inputs`` an input is read and hashed even
@@ -60,7 +60,7 @@ def run_mission(
     progress = progress or Progress()
     progress.start("hashing the inputs")
     plan = plan_of(mission, verify=verify_inputs)
-    with places_named(plan):
+    with urls_in_refusals(plan):
         if isinstance(plan.output, Place):
             return run_and_publish(plan, place=plan.output, force=force, progress=progress)
         is_repeated, manifest = run_plan(plan, force=force, progress=progress)
@@ -68,7 +68,10 @@ def run_mission(
 
 
 def plan_of(mission: AnyMission, *, verify: bool = False) -> Plan:
-    """A mission as understood, with its inputs hashed."""
+    """The plan of a mission: the mission as understood, with its inputs hashed.
+
+    ``verify`` reads and hashes each input, even if its size and time are unchanged.
+    """
     if isinstance(mission, Mission):
         return make_plan(mission, folder_of(mission), verify=verify)
     ref = MissionRef.of(mission)
@@ -86,7 +89,7 @@ def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress
     # Made first, because a publication notes what is published now: if another run is published
     # from here on, this one is refused.
     publication = remote.Publication(place, plan.fingerprint)
-    earlier = finished_before(plan, force=force)
+    earlier = manifest_of_same_run(plan, force=force)
     if earlier is not None:
         return outcome_of(plan, earlier, repeated=True)
     remote.rehearse(place, writes=True)
@@ -111,15 +114,15 @@ def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress
 
 
 def run_plan(plan: Plan, *, force: bool, progress: Progress) -> tuple[bool, Manifest]:
-    """Run a mission with its inputs hashed, whose results go to a folder.
+    """Run a mission that writes its results to a folder, unless they are there already.
 
-    Returns whether an earlier run had made these results, so that nothing ran now; and the manifest
-    of the results.
+    ``force`` runs it in any case. Returns True if an earlier run had made the results, so that
+    nothing ran now, otherwise False; and the manifest of the results.
     """
     with store.open_folder(plan.folder) as folder:
-        earlier = finished_before(plan, force=force)
+        earlier = manifest_of_same_run(plan, force=force)
         if earlier is not None:
-            return True, renewed(plan, folder, earlier)
+            return True, update_input_records(plan, folder, earlier)
         prepared = prepare(plan, progress)
         observations = prepared.observations
         batch_rows = plan.mission.output.batch_rows
@@ -142,13 +145,13 @@ def run_plan(plan: Plan, *, force: bool, progress: Progress) -> tuple[bool, Mani
         progress.start("writing the report")
         write_tables(folder, corrected.stations, corrected.air)
         manifest = manifest_of(plan, corrected)
-        return False, finish_run(plan, folder, manifest, drawing_of(corrected))
+        return False, finish_run(plan, folder, manifest, figure_data_of(corrected))
 
 
 def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> PreparedMission:
     """Open the inputs of a mission, build its stations and estimate its air.
 
-    Only ``most_rows`` of the observations are drawn, to stand for all; None takes all.
+    ``most_rows`` is the size of the sample that is drawn of the observations; None draws none.
     """
     ledger = Ledger()
     mission = plan.mission
@@ -170,15 +173,16 @@ def prepare(plan: Plan, progress: Progress, most_rows: int | None = None) -> Pre
 def manifest_of(plan: Plan, corrected: CorrectedMission) -> Manifest:
     """The manifest of a run, without its outputs.
 
-    It holds no host name, no absolute path, and no time but those of the inputs.
+    It contains no host name and no absolute path, and only the times of the inputs, so that equal
+    runs give equal manifests.
     """
-    ledger = [renamed(entry, plan.inputs) for entry in corrected.results.ledger]
+    ledger = [with_names_of_inputs(entry, plan.inputs) for entry in corrected.results.ledger]
     results = replace(corrected.results, ledger=ledger)
     return Manifest({**results.row(), **plan.identity().row()})
 
 
-def renamed(entry: MessageRecord, inputs: Iterable[Input]) -> MessageRecord:
-    """A message that names inputs as the mission file does, not by their paths here."""
+def with_names_of_inputs(entry: MessageRecord, inputs: Iterable[Input]) -> MessageRecord:
+    """A message with the paths of inputs replaced by their names in the mission file."""
     where = entry.where
     for item in inputs:
         where = where.replace(str(item.path), item.name)
@@ -186,7 +190,10 @@ def renamed(entry: MessageRecord, inputs: Iterable[Input]) -> MessageRecord:
 
 
 def outcome_of(plan: Plan, manifest: Manifest, *, repeated: bool) -> Outcome:
-    """How a mission ended, by the manifest of its results."""
+    """The outcome of a mission, from the manifest of its results.
+
+    ``repeated`` : an earlier run had made these results.
+    """
     return Outcome(
         name=plan.mission.mission.name,
         output=plan.output,
@@ -196,28 +203,28 @@ def outcome_of(plan: Plan, manifest: Manifest, *, repeated: bool) -> Outcome:
     )
 
 
-def finished_before(plan: Plan, *, force: bool = False) -> Manifest | None:
-    """The manifest of an earlier run that made what the plan would make; None if the plan must run.
+def manifest_of_same_run(plan: Plan, *, force: bool = False) -> Manifest | None:
+    """The manifest of an earlier run with the results of this plan; None if the plan must run.
 
-    A damaged manifest is refused. With ``force`` it is not, and the plan must run in any case. The
-    manifest of another mission is always refused.
+    With ``force`` the plan must run in any case. Refuses a damaged manifest, except with ``force``,
+    and always (OUTPUT-OTHER) the manifest of another mission.
     """
-    manifest = read_manifest(plan.output, damaged=force)
+    manifest = read_manifest(plan.output, ignore_damaged=force)
     refuse_other_mission(plan, manifest)
     if force or manifest is None or reasons_to_run(plan, manifest):
         return None
     return manifest
 
 
-def renewed(plan: Plan, folder: store.RunFolder, manifest: Manifest) -> Manifest:
-    """The manifest of an unchanged run with sizes and times of its inputs as they are now.
+def update_input_records(plan: Plan, folder: store.RunFolder, manifest: Manifest) -> Manifest:
+    """Write the present sizes and times of its inputs into the manifest of an unchanged run.
 
-    Where an input, or the mission file, was copied or written again with the same content, the
-    next run need not read it. A folder that cannot be written to stays as it is.
+    If an input or the mission file was copied or written again with the same content, the next run
+    then need not read it. Returns the new manifest, also if the folder cannot be written to.
     """
     now = plan.identity()
     before = manifest.run
-    # A mission that was loaded before does not know the text of its file: what is known stays.
+    # The plan of a mission that was loaded earlier has no hash of the file: the old one stays.
     file_sha256 = now.mission_file_sha256 or before.mission_file_sha256
     if before.inputs == now.inputs and before.mission_file_sha256 == file_sha256:
         return manifest
@@ -246,7 +253,7 @@ def check_mission(mission: AnyMission, *, progress: Progress | None = None) -> C
     plan = plan_of(mission)
     if isinstance(plan.output, Path):
         store.rehearse_folder(plan.output)
-    finished_before(plan)  # for its refusals: a rehearsal does not depend on earlier results
+    manifest_of_same_run(plan)  # only for its refusals: a rehearsal ignores earlier results
     if isinstance(plan.output, Place):
         remote.rehearse(plan.output)
     prepared = prepare(plan, progress, SAMPLED_ROWS)
@@ -262,17 +269,20 @@ def check_mission(mission: AnyMission, *, progress: Progress | None = None) -> C
 
 
 def mission_status(mission: AnyMission) -> tuple[Plan, list[str]]:
-    """Why `run_mission` would run a mission now, one reason each; nothing is locked or written."""
+    """The plan of a mission, and why `run_mission` would run it now, one sentence a reason.
+
+    There are no reasons if it would not run. Nothing is locked or written.
+    """
     plan = plan_of(mission)
-    manifest = read_manifest(plan.output, damaged=True)
+    manifest = read_manifest(plan.output, ignore_damaged=True)
     refuse_other_mission(plan, manifest)
     if manifest is None:
         return plan, [f"{plan.output} has no results of it"]
     return plan, reasons_to_run(plan, manifest)
 
 
-def drawing_of(corrected: CorrectedMission) -> Flown:
-    """What the report draws, beside its manifest."""
+def figure_data_of(corrected: CorrectedMission) -> Flown:
+    """The data of the report's figures that are not in its manifest."""
     prepared = corrected.prepared
     setup = corrected.setup
     return flown_of(
@@ -288,7 +298,10 @@ def drawing_of(corrected: CorrectedMission) -> Flown:
 
 
 def finish_run(plan: Plan, folder: store.RunFolder, manifest: Manifest, flown: Flown) -> Manifest:
-    """Write the report, and last the manifest with the outputs: with it the run is finished."""
+    """Write the report, and last the manifest, which shows that the run is finished.
+
+    Returns the manifest with the outputs.
+    """
     report = folder.place(REPORT)
     with storage_errors(report):
         write_report(report, manifest, flown)
@@ -301,7 +314,7 @@ def finish_run(plan: Plan, folder: store.RunFolder, manifest: Manifest, flown: F
 
 
 def read_mission(mission: AnyMission) -> PreparedMission:
-    """A mission with everything read, its stations built and its air estimated."""
+    """Read the inputs of a mission, build its stations and estimate its air."""
     return prepare(plan_of(mission), Progress())
 
 
@@ -312,10 +325,11 @@ def profile_in_light(
     camera: str | None = None,
     wavelength_m: float | None = None,
 ) -> tuple[Profile, Ledger]:
-    """The profile of a mission, or a standard atmosphere by its name, in one light.
+    """The profile of a mission or a standard atmosphere, for one wavelength; and the notes on it.
 
-    That is a wavelength in vacuum [m], else the light of one of the mission's cameras, else that of
-    the whole mission or standard. Refuses (ConfigError ANGLE-CAMERA) a camera that is not there.
+    ``config`` is a mission file; None takes the standard atmosphere called ``atmosphere``. The
+    wavelength in vacuum [m] is ``wavelength_m``, else that of the mission's ``camera``, else that
+    of the mission or the standard. Refuses (ConfigError ANGLE-CAMERA) an unknown camera.
     """
     if config is None:
         profile = standard_atmosphere(atmosphere or "")
@@ -338,9 +352,10 @@ def profile_in_light(
 def air_of_mission_or_standard(
     config: Path | None, atmosphere: str | None
 ) -> tuple[FlightAir, AirSamples, Ledger]:
-    """The air of the mission of ``config`` with its samples and notes.
+    """The air of a mission or a standard atmosphere, with the samples and the notes of the mission.
 
-    Without ``config`` it is the standard atmosphere of that name, which has neither.
+    ``config`` is a mission file; None takes the standard atmosphere called ``atmosphere``, which
+    has no samples and no notes.
     """
     if config is not None:
         prepared = read_mission(config)

@@ -34,24 +34,25 @@ STAGING = ".staging"
 """The hidden folder in a run's folder that results are written to."""
 
 _LOCK = ".lock"
-_KEY = "key"  # in the staging folder: what the parts there depend on
+_KEY = "key"  # file in the staging folder with the key of the parts there, see `resume`
 _RECEIPTS = "receipts"
-RECEIPT_VALUES = 2  # the seal of a part, and what is known of it
+_RECEIPT_VALUES = 2  # the seal of a part, and its counts
 _PARTS = "observations"
 _PART = re.compile(r"part-[0-9]{5,}\.parquet")
 _RESULTS = (_PARTS, "stations.parquet", "profile.parquet", REPORT)
 
-# Windows refuses to replace a file that a virus scanner or a viewer has open; most let go soon.
+# Windows refuses to replace a file that a virus scanner or a viewer has open; most close it soon.
 _REPLACE_ATTEMPTS = 20 if os.name == "nt" else 1
 _REPLACE_PAUSE_S = 0.1
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A path to write to, beside ``path``; renamed to it when all is written and on the disk.
+    """Context with a path to write to, which is renamed to ``path`` at its end.
 
-    The caller writes a file there, which may replace one at ``path``; or makes a folder of files
-    there, if nothing is at ``path``.
+    The caller writes a file to that path, which may replace a file at ``path``; or makes a folder
+    of files there, if nothing is at ``path``. All is flushed to the disk before it is renamed.
+    After an error it is removed.
     """
     draft = path.with_name(f".{path.name}.{uuid4().hex[:12]}.draft")
     try:
@@ -65,7 +66,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
                     sync_file(file)
             replace_file(draft, path)
     finally:
-        # A draft that was not renamed is a folder or a file.
+        # A draft that was not renamed may be a folder or a file; one that was is gone.
         shutil.rmtree(draft, ignore_errors=True)
         with suppress(OSError):
             draft.unlink(missing_ok=True)
@@ -80,7 +81,10 @@ class Seal(NamedTuple):
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The output folder of one mission, locked for this process."""
+    """The output folder of one mission, locked for this process.
+
+    ``_seals`` has the hash and size of each result in the staging folder, by its name.
+    """
 
     path: Path
     _seals: dict[str, Seal] = field(default_factory=dict)
@@ -105,9 +109,9 @@ class RunFolder:
             self._seals[name] = Seal(hash_file(target), target.stat().st_size)
 
     def resume(self, key: str, *, anew: bool = False) -> None:
-        """Keep the finished parts that a run of the same ``key`` left, and remove those of another.
+        """Keep the finished parts of an interrupted run with the same ``key``; remove any others.
 
-        ``anew`` removes them in any case. The key says what the parts depend on.
+        ``anew`` removes all. The key is a text with all that the content of the parts depends on.
         """
         key_file = self.staging / _KEY
         with storage_errors(key_file):
@@ -118,7 +122,10 @@ class RunFolder:
                     draft.write_text(key, encoding="utf-8")
 
     def write_receipt(self, name: str, value: Any) -> None:
-        """Keep a sealed part, and what is known of it, for the case that the run is interrupted."""
+        """Write the receipt of a sealed part: its seal and ``value``, its counts.
+
+        With it the part stays when the run is interrupted.
+        """
         receipt = self.place(f"{_RECEIPTS}/{Path(name).name}")
         with atomic_write(receipt) as draft:
             draft.write_bytes(packed((tuple(self._seals[name]), value)))
@@ -127,21 +134,21 @@ class RunFolder:
                 sync_folder(folder)
 
     def read_receipt(self, name: str) -> Any:
-        """What the receipt keeps of a finished part; None where the part must be made (again).
+        """The value in the receipt of a finished part; None if the part must be made.
 
         A part is finished if it has the size and hash of the seal in its receipt. That seal is
-        entered for the manifest, as if this run had sealed the part.
+        kept for the manifest, as if this run had sealed the part.
         """
         part = self.staging / name
         receipt = self.staging / _RECEIPTS / part.name
         with storage_errors(receipt):
             if not receipt.is_file() or not part.is_file():
                 return None
-            kept = unpacked(receipt.read_bytes())
-            if not isinstance(kept, tuple) or len(kept) != RECEIPT_VALUES:
+            content = unpacked(receipt.read_bytes())
+            if not isinstance(content, tuple) or len(content) != _RECEIPT_VALUES:
                 return None
-            sealed, value = kept
-            seal = Seal(*sealed)
+            seal_values, value = content
+            seal = Seal(*seal_values)
             if part.stat().st_size != seal.size_bytes or hash_file(part) != seal.sha256:
                 return None
         self._seals[name] = seal
@@ -188,7 +195,7 @@ class RunFolder:
             _remove(self.staging)
 
     def rewrite_manifest(self, manifest: Manifest) -> None:
-        """Replace the manifest of the results that are there, whole at any time."""
+        """Replace the manifest of the visible results; it is complete at any time."""
         with atomic_write(self.path / MANIFEST) as draft:
             draft.write_text(manifest_text(manifest), encoding="utf-8", newline="\n")
 
@@ -211,7 +218,7 @@ def sync_folder(path: Path) -> None:
 
 
 def replace_file(source: Path, target: Path) -> None:
-    """Rename a file over another one; on Windows again for 2 s while the target is open."""
+    """Rename ``source`` to ``target``, which it replaces; on Windows retried for 2 s."""
     for attempt in range(1, _REPLACE_ATTEMPTS + 1):
         try:
             source.replace(target)
@@ -223,13 +230,13 @@ def replace_file(source: Path, target: Path) -> None:
 
 
 def _parts(path: Path) -> list[Path]:
-    """The parts of the observations in a folder of results; no other files beside them."""
+    """The files in a folder of results that are named like parts of the observations."""
     named = (path / _PARTS).glob("part-*.parquet")
     return [part for part in named if _PART.fullmatch(part.name)]
 
 
 def _remove(path: Path) -> None:
-    """Remove a file, a link or a folder with all in it; nothing where none is there."""
+    """Remove a file, a link, or a folder with its content; do nothing if there is none."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     elif os.path.lexists(path):
@@ -237,7 +244,7 @@ def _remove(path: Path) -> None:
 
 
 def would_replace(folder: Path, path: Path) -> bool:
-    """Whether a run that writes to a folder removes or replaces this file, or one of this folder.
+    """Whether a run that writes to ``folder`` removes or replaces the input at ``path``.
 
     >>> would_replace(Path("/r"), Path("/r/observations/own.parquet"))
     True
@@ -245,7 +252,7 @@ def would_replace(folder: Path, path: Path) -> bool:
     False
     """
     replaced = {*_RESULTS, MANIFEST, STAGING, _LOCK}
-    # A link may lie in one folder and lead to another: neither path may be among the results.
+    # A link may lead from one folder to another: neither its path nor its target may be a result.
     for resolve in (os.path.abspath, os.path.realpath):
         results = Path(resolve(folder))
         file = Path(resolve(path))
@@ -258,22 +265,22 @@ def would_replace(folder: Path, path: Path) -> bool:
 
 
 def rehearse_folder(path: Path) -> None:
-    """Refuse what `open_folder` would, and a folder that cannot be written to; writes nothing."""
-    # The folder itself, or the one in which it would be made.
+    """Refuse what `open_folder` would, and a folder that cannot be written to; write nothing."""
+    # The folder itself, or the nearest parent that exists, in which it would be made.
     nearest = next(folder for folder in (path, *path.parents) if os.path.lexists(folder))
     with storage_errors(path):
         os.stat(os.path.join(nearest, "."))  # raises NotADirectoryError if `nearest` is a file
         if not os.access(nearest, os.W_OK | os.X_OK):
             raise PermissionError(EACCES, os.strerror(EACCES), str(nearest))
     _refuse_links(path)
-    _refuse_strangers(path)
+    _refuse_foreign_results(path)
     if (path / _LOCK).exists():
         lock_folder(path).release()
 
 
 @contextmanager
 def open_folder(path: Path) -> Iterator[RunFolder]:
-    """Lock an output folder and remove what an interrupted run left, but for its finished parts.
+    """Context that locks an output folder, cleared of an interrupted run except finished parts.
 
     Finished parts stay, hidden, when a run is interrupted or the disk refuses to write;
     `RunFolder.resume` decides whether the next run keeps them. When a run ends in another way, all
@@ -312,7 +319,7 @@ def _refuse_links(path: Path) -> None:
 
 
 def has_traces(path: Path) -> bool:
-    """Whether a folder has a file that a run writes, finished or not."""
+    """Whether a folder has a file with the name of a file that a run writes, finished or not."""
     names = (_LOCK, STAGING, *_RESULTS, MANIFEST)
     return any(os.path.lexists(path / name) for name in names)
 
@@ -333,16 +340,17 @@ def lock_folder(path: Path) -> FileLock:
         ) from None
     except (OSError, NotImplementedError) as error:
         if getattr(error, "errno", None) in (EACCES, EPERM, EROFS):
-            with storage_errors(path):  # no permission to write: told as STORAGE-WRITE
+            with storage_errors(path):  # turns it into the refusal STORAGE-WRITE
                 raise
         raise messages.folder_not_lockable(path=str(path), error=str(error)) from None
     return lock
 
 
-def _refuse_strangers(path: Path) -> None:
-    """Refuse (STORAGE-NOT-OURS) files that are named like results where no manifest is.
+def _refuse_foreign_results(path: Path) -> None:
+    """Refuse (STORAGE-NOT-OURS) files that are named like results in a folder without a manifest.
 
-    A manifest shows that unbend wrote them; that of an interrupted commit is still staged.
+    A manifest shows that unbend wrote them. After an interrupted commit the manifest is in the
+    staging folder.
     """
     results = [name for name in _RESULTS if os.path.lexists(path / name)]
     has_manifest = (path / MANIFEST).exists() or (path / STAGING / MANIFEST).is_file()
@@ -356,33 +364,36 @@ def _clear_interrupted(path: Path, *, resumable: bool) -> None:
     ``resumable`` keeps finished parts, which have receipts; those that an interrupted commit made
     visible are staged again.
     """
-    _refuse_strangers(path)
+    _refuse_foreign_results(path)
     staging = path / STAGING
-    receipts: set[str] = set()  # named as their parts
+    receipts: set[str] = set()  # names of receipts, which are those of their parts
     if resumable:
         receipts = {file.name for file in (staging / _RECEIPTS).glob("part-*")}
-    kept: set[str] = set()  # names in the staging folder that stay, beside parts with receipts
+    kept_names: set[str] = set()  # in the staging folder, in addition to parts with receipts
     if receipts:
-        kept = {_RECEIPTS, _KEY, _PARTS}
+        kept_names = {_RECEIPTS, _KEY, _PARTS}
     if not (path / MANIFEST).exists():
-        # Visible results are then those of a commit that began and did not end: others are refused.
+        # Visible results are then of an interrupted commit: those of others are refused above.
         _undo_commit(path, receipts)
         if os.path.lexists(path / _PARTS):
             # Files of the user are among the parts, so that their folder could not be removed. The
             # staged manifest stays until a commit ends: it shows that the folder is unbend's.
-            kept.add(MANIFEST)
-    if not kept:
+            kept_names.add(MANIFEST)
+    if not kept_names:
         _remove(staging)
         return
     staged = [*staging.iterdir(), *(staging / _PARTS).glob("*")]
     staged += (staging / _RECEIPTS).glob(".*")  # drafts of receipts
     for file in staged:
-        if file.name not in kept and file.name not in receipts:
+        if file.name not in kept_names and file.name not in receipts:
             _remove(file)
 
 
 def _undo_commit(path: Path, receipts: set[str]) -> None:
-    """Remove visible results that no manifest names; parts with receipts are staged again."""
+    """Remove the visible results of an interrupted commit.
+
+    Parts with ``receipts`` (names of the parts) are moved back into the staging folder.
+    """
     for part in _parts(path):
         staged = path / STAGING / _PARTS / part.name
         if part.name in receipts and not staged.exists():
@@ -392,14 +403,14 @@ def _undo_commit(path: Path, receipts: set[str]) -> None:
     for name in _RESULTS:
         if name != _PARTS:
             (path / name).unlink(missing_ok=True)
-    with suppress(OSError):  # not empty: it holds files of the user
+    with suppress(OSError):  # not empty: it contains files of the user
         (path / _PARTS).rmdir()
 
 
-def read_manifest(path: Path, *, damaged: bool = False) -> Manifest | None:
+def read_manifest(path: Path, *, ignore_damaged: bool = False) -> Manifest | None:
     """The manifest of a run's folder; None without a manifest.
 
-    A damaged manifest is refused; with ``damaged`` it counts as none.
+    A damaged manifest is refused; with ``ignore_damaged`` None is returned for it.
     """
     file = path / MANIFEST
     try:
@@ -413,17 +424,17 @@ def read_manifest(path: Path, *, damaged: bool = False) -> Manifest | None:
             raise messages.manifest_unreadable(path=str(file), error=str(error)) from None
         return parse_manifest(content, str(file))
     except StorageError:
-        if damaged:
+        if ignore_damaged:
             return None
         raise
 
 
-def find_damage(path: Path, manifest: Manifest, *, read: bool = True) -> list[str]:
-    """What is missing, changed or too much in a run's folder, one line each; empty when nothing is.
+def find_damage(path: Path, manifest: Manifest, *, hash_all: bool = True) -> list[str]:
+    """What is missing, changed or superfluous in a run's folder, one text each.
 
-    Too much are parts of the observations that the manifest does not name; other files in the
-    folder do not count. Without ``read`` only those results are read that changed after the
-    manifest was written: a run writes its manifest last.
+    Superfluous are parts of the observations that the manifest does not name; other files in the
+    folder do not count. ``hash_all`` reads and hashes all results. Without it only those are read
+    that changed after the manifest was written: a run writes its manifest last.
     """
     names = [item.name for item in manifest.run.outputs]
     names += [f"{_PARTS}/{part.name}" for part in (path / _PARTS).glob("part-*.parquet")]
@@ -437,7 +448,7 @@ def find_damage(path: Path, manifest: Manifest, *, read: bool = True) -> list[st
         finished_ns = (path / MANIFEST).stat().st_mtime_ns
 
     def hash_of(name: str) -> str | None:
-        if read or stats[name].st_mtime_ns >= finished_ns:
+        if hash_all or stats[name].st_mtime_ns >= finished_ns:
             return hash_file(path / name)
         return None  # trusted without reading
 

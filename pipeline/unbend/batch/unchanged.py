@@ -1,8 +1,8 @@
-"""Missions that are as they were, known without checking their mission files.
+"""Find missions that are unchanged since their last run, without checking their mission files.
 
-That takes a fifth of the time of a full comparison. The manifest holds a hash of the text of the
-mission file. Where that hash is the same, and so are the versions, the sizes and times of the
-inputs, and the results, nothing would run.
+That takes a fifth of the time of a full comparison. The manifest contains a hash of the text of the
+mission file. If that hash is the same, and so are the versions, the sizes and times of the inputs,
+and the results, the mission need not run.
 """
 
 import hashlib
@@ -36,7 +36,7 @@ from unbend.tables.manifest.whole import Manifest
 
 @dataclass(frozen=True)
 class Unchanged:
-    """A mission that would not run: its name, and the manifest of the run that is there."""
+    """A mission that would not run: its name, output folder, and the manifest in that folder."""
 
     name: str
     output: Path
@@ -47,7 +47,7 @@ class Unchanged:
 class LoadedMission:
     """A mission as understood; ``text_sha256`` is the hash of the text that it was read from.
 
-    The hash is "" where the text changed while it was read.
+    The hash is "" if the text changed while it was read.
     """
 
     mission: Mission
@@ -56,14 +56,14 @@ class LoadedMission:
 
 def load(ref: MissionRef) -> LoadedMission:
     """Read and check a mission file."""
-    before = text_hash(ref)
+    hash_before = text_hash(ref)
     mission = ref.load()
-    unchanged = text_hash(ref) == before
-    return LoadedMission(mission, before if unchanged else "")
+    is_same_text = text_hash(ref) == hash_before
+    return LoadedMission(mission, hash_before if is_same_text else "")
 
 
 def text_hash(ref: MissionRef) -> str:
-    """SHA-256 of all that a mission is read from; "" where its file cannot be read."""
+    """SHA-256 of the text of a mission with its defaults; "" if its file cannot be read."""
     try:
         return hash_of_text(ref, text_of(ref))
     except OSError:
@@ -71,7 +71,10 @@ def text_hash(ref: MissionRef) -> str:
 
 
 def text_of(ref: MissionRef) -> bytes:
-    """The text of a mission, which may stand in a campaign file; OSError if it cannot be read."""
+    """The text of a mission: of its file, or its sections in a campaign file.
+
+    OSError if the file cannot be read.
+    """
     if ref.own:
         return ref.own.encode()
     if not ref.path.is_file():  # reading a pipe might never end
@@ -85,20 +88,23 @@ def hash_of_text(ref: MissionRef, text: bytes) -> str:
 
 
 def find_unchanged(ref: MissionRef) -> Unchanged | None:
-    """The mission, if it is unchanged; None if it is not, or if only a full comparison can tell."""
+    """The mission, if it is certainly unchanged since its last run; otherwise None.
+
+    None may also mean that only a full comparison can show that it is unchanged.
+    """
     try:
         text = text_of(ref)
         name, output_path = name_and_output(ref, text)
-    # The errors of a text that is no mission file. Reading the mission will refuse that file.
+    # The errors of a text that is not a mission file. `load` refuses such a file later.
     except (OSError, AttributeError, KeyError, TypeError, ValueError, yaml.YAMLError):
         return None
     if is_url(output_path):
         return None
     output = Path(os.path.normpath(ref.folder / output_path))
-    # A run that is under way, or was interrupted, has a staging folder.
+    # A run that has not ended, or was interrupted, has a staging folder.
     if os.path.lexists(output / STAGING):
         return None
-    manifest = read_manifest(output, damaged=True)
+    manifest = read_manifest(output, ignore_damaged=True)
     if manifest is None or manifest.run.mission != name:
         return None
     run = manifest.run
@@ -110,42 +116,43 @@ def find_unchanged(ref: MissionRef) -> Unchanged | None:
         return None
     if not all(is_as_recorded(record, ref.folder) for record in run.inputs):
         return None
-    if find_damage(output, manifest, read=False):
+    if find_damage(output, manifest, hash_all=False):
         return None
     return Unchanged(name, output, manifest)
 
 
 def name_and_output(ref: MissionRef, text: bytes) -> tuple[str, str]:
-    """Name and output path of a mission, from its text alone; KeyError where it states none.
+    """Name and output path of a mission, from its text alone; KeyError if one is missing.
 
-    No scalar of the text is turned into a number or a date, which is fast: in a mission file that
-    was ever run these two are words.
+    All values of the text are read as words, which is fast. Name and path are words in each mission
+    file that has run.
     """
     sections = yaml.load(text, yaml.CBaseLoader)
     defaults = json.loads(ref.defaults) if ref.defaults else {}
-    values = merged(_about_results(defaults), _about_results(sections))
+    values = merged(_naming_sections(defaults), _naming_sections(sections))
     return str(values["mission"]["name"]), str(values["output"]["path"])
 
 
-def _about_results(sections: Mapping[str, Any]) -> dict[str, Any]:
-    """The sections with the name of a mission and the place of its results."""
+def _naming_sections(sections: Mapping[str, Any]) -> dict[str, Any]:
+    """The two sections that contain the name of a mission and the path of its results."""
     return {name: sections[name] for name in ("mission", "output") if name in sections}
 
 
 def is_as_recorded(record: InputRecord, folder: Path) -> bool:
-    """Whether an input has the size and time that the record in a manifest says.
+    """Whether an input has the size and time of its record in a manifest.
 
-    False for inputs in object storage, blocks and folders of images, which take the full
-    comparison: only the readers of their formats know which files count.
+    ``folder`` is that of the mission file. False for inputs in object storage, blocks and folders
+    of images, which take the full comparison: only the readers of their formats know their files.
     """
-    raster = is_raster(record.role)
+    read_by_gdal = is_raster(record.role)
     has_several_files = bool(record.version)  # an input of one file has no version
-    if is_url(record.name) or (has_several_files and not raster):
+    if is_url(record.name) or (has_several_files and not read_by_gdal):
         return False
-    named = NamedInput(record.role, key="", name=record.name, program=GDAL if raster else None)
+    program = GDAL if read_by_gdal else None
+    named = NamedInput(record.role, key="", name=record.name, program=program)
     path = folder / record.name
     if not path.is_file():
         return False
-    files = files_of(path, named.program)
+    files = files_of(path, program)
     now = record_of(named, files, tuple(state_of(file) for file in files))
     return now.is_like(record)

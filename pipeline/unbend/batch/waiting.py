@@ -1,4 +1,4 @@
-"""Waiting for others within a time, and so that Ctrl-C is heard meanwhile."""
+"""Waiting for a call that may not return: with a time limit, and so that Ctrl-C is heard."""
 
 import threading
 from collections.abc import Callable
@@ -8,24 +8,25 @@ from typing import TypeVar
 Answer = TypeVar("Answer")
 
 
-def within(seconds: float | None, question: Callable[[], Answer]) -> Answer:
-    """What a question returns or raises; TimeoutError where it takes longer.
+def within(seconds: float | None, function: Callable[[], Answer]) -> Answer:
+    """Call a function, and return what it returns or raise what it raises.
 
-    None stands for a question that ends by itself. It is asked in a thread of its own: libraries
-    that wait outside Python would keep Ctrl-C and SIGTERM back until they return.
+    TimeoutError if it takes longer than ``seconds``; None waits without limit. The function is
+    called in another thread: a library that waits outside Python would keep Ctrl-C and SIGTERM back
+    until it returns. After a TimeoutError that thread runs on.
 
     >>> within(5.0, "answer".upper)
     'ANSWER'
     """
-    asked: Future[Answer] = Future()
+    answer: Future[Answer] = Future()
 
-    def ask() -> None:
+    def call() -> None:
         try:
-            asked.set_result(question())
+            answer.set_result(function())
         except BaseException as error:
-            asked.set_exception(error)
+            answer.set_exception(error)
 
-    threading.Thread(target=ask, daemon=True).start()
-    if not wait([asked], timeout=seconds).done:
+    threading.Thread(target=call, daemon=True).start()
+    if not wait([answer], timeout=seconds).done:
         raise TimeoutError(f"no answer within {seconds:.0f} s")
-    return asked.result()
+    return answer.result()

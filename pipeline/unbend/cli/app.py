@@ -35,11 +35,12 @@ if TYPE_CHECKING:
 
     from unbend.messages import Ledger, MessageRecord
 
-WIDEST_HELP = 1000  # columns of a terminal
+WIDEST_HELP = 1000  # columns: more than any terminal has
 
 HelpContext: TypeAlias = Any
 HelpFormatter: TypeAlias = Any
-"""Of what, and what writes a help: of click, or of the copy of click in newer versions of typer."""
+"""Context and formatter of a help text: classes of click, or of the copy of click in newer versions
+of typer."""
 
 GROUPS = {
     "From a log to files for adjustment": ("init", "check", "run", "export"),
@@ -61,6 +62,8 @@ _TAKE_URLS = {"run", "export", "report", "verify"}
 
 
 class _Group(TyperGroup):
+    """The group of all commands, with its own help and its own refusals of wrong words."""
+
     def list_commands(self, ctx: Any) -> list[str]:
         """Names in the order of `GROUPS`; typer would list them by module."""
         return [name for names in GROUPS.values() for name in names]
@@ -77,9 +80,10 @@ class _Group(TyperGroup):
                 formatter.write_dl(rows)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command and its words; refuses (URL-INVALID) a URL where paths are taken.
+        """The name of the command, the command, and the words that follow it.
 
-        Refuses (COMMAND-ORDER) a file in the place of the command.
+        Refuses a file in the place of the command (COMMAND-ORDER), and a URL for a command that
+        takes only paths (URL-INVALID).
         """
         refuse_file_as_command(args, self.commands)
         name, command, words = super().resolve_command(ctx, args)
@@ -89,10 +93,11 @@ class _Group(TyperGroup):
 
 
 def refuse_file_as_command(words: Sequence[str], commands: Collection[str]) -> None:
-    """Refuse (COMMAND-ORDER) a line of words that begins with a file, and say how to write it.
+    """Refuse (COMMAND-ORDER) a command line that begins with a file, with the line in its order.
 
-    The command is the first word that is one and no value of an option; without one, a mission file
-    is meant to be run.
+    ``words`` follow ``unbend``; ``commands`` are the names of all commands. The command of the
+    proposed line is the one that `place_of_command` finds, otherwise ``run`` for a mission file. A
+    line without either, or with another first word, is not refused here.
     """
     first = words[0]
     if first in commands:
@@ -106,27 +111,29 @@ def refuse_file_as_command(words: Sequence[str], commands: Collection[str]) -> N
         return
     if not is_file:
         return
-    others = list(words)
+    other_words = list(words)
     place = place_of_command(words, commands)
     if place is not None:
-        command_name = others.pop(place)
+        command_name = other_words.pop(place)
     elif is_mission:
         command_name = "run"
     else:
         return
-    raise command_not_first(word=first, line=shlex.join(["unbend", command_name, *others]))
+    raise command_not_first(word=first, line=shlex.join(["unbend", command_name, *other_words]))
 
 
 def place_of_command(words: Sequence[str], commands: Collection[str]) -> int | None:
-    """The place of the first word that is a command and does not follow an option; None without.
+    """The index of the first word that is a command and does not follow an option, else None.
+
+    A word after an option is its value.
 
     >>> place_of_command(["a.yaml", "run"], {"run"})
     1
     >>> place_of_command(["a.yaml", "--output", "run"], {"run"})
     """
     for place, word in enumerate(words):
-        before = words[place - 1] if place else ""
-        is_value = before.startswith("--") and "=" not in before
+        previous = words[place - 1] if place else ""
+        is_value = previous.startswith("--") and "=" not in previous
         if word in commands and not is_value:
             return place
     return None
@@ -164,7 +171,10 @@ AsJson = Annotated[bool, Option("--json", help="print the answer as JSON")]
 
 
 class Answer:
-    """Where the answer of a command goes: as text, as JSON with nothing else, or nowhere."""
+    """Prints the answer of a command: as text, with ``as_json`` as JSON only, or not at all.
+
+    ``quiet`` prints no text; together with ``as_json`` it prints the JSON.
+    """
 
     def __init__(self, *, quiet: bool, as_json: bool) -> None:
         self.quiet = quiet
@@ -172,18 +182,21 @@ class Answer:
 
     @property
     def is_silent(self) -> bool:
-        """Whether no text is wanted."""
+        """Whether no text is printed."""
         return self.quiet or self.as_json
 
     @cached_property
     def console(self) -> Console:
-        """Console for the text of the answer; it discards what nobody wants."""
+        """The console for the text of the answer, which discards it if `is_silent`."""
         from unbend.report.console import report_console
 
         return report_console(quiet=self.is_silent)
 
     def progress(self, title: str) -> DelayedProgressBar:
-        """A bar for work that may take longer than half a second, where there is a terminal."""
+        """A progress bar that is shown after half a second, if there is a terminal.
+
+        It is on standard error if standard output is JSON or no terminal.
+        """
         if self.quiet or not (sys.stdout.isatty() or sys.stderr.isatty()):
             return DelayedProgressBar(None, title)
         from unbend.report.console import report_console
@@ -193,7 +206,7 @@ class Answer:
         return DelayedProgressBar(self.console, title)
 
     def print_json(self, content: Any) -> None:
-        """Print it as JSON if that is wanted; ValueError where a number is none (null is meant)."""
+        """Print ``content`` if JSON is wanted; ValueError for NaN or infinity, which JSON lacks."""
         if self.as_json:
             print(json.dumps(content, indent=2, allow_nan=False, default=str))
 
@@ -204,7 +217,11 @@ class Answer:
         *written: Path | None,
         shown: Sequence[MessageRecord] | None = None,
     ) -> NoReturn:
-        """Print ledger (``shown`` as text) and written files, and exit with the ledger's code."""
+        """Print the answer with its ledger and ``written`` files, and exit with the ledger's code.
+
+        ``content`` is printed only as JSON. ``shown`` are the messages to print as text; None means
+        all of the ledger. A file that is None was not written.
+        """
         code = exit_code_of(has_losses=ledger.has_losses)
         files = [str(path) for path in written if path is not None]
         self.print_json(content | {"written": files, "ledger": ledger.rows(), "exit_code": code})
@@ -216,7 +233,7 @@ class Answer:
         raise typer.Exit(code)
 
     def print_paths(self, paths: Iterable[str]) -> None:
-        """Print paths whole, whatever the width of the terminal."""
+        """Print each path on one line, also if it is longer than the terminal is wide."""
         for path in paths:
             self.console.print(visible(path), markup=False, soft_wrap=True)
 
@@ -224,7 +241,11 @@ class Answer:
 def command(
     name: str | None = None, *, epilog: str, cls: type[TyperCommand] = TyperCommand
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator: a command with --quiet and --json; its function takes an `Answer` first."""
+    """Decorator that registers a function as a command with the options --quiet and --json.
+
+    The function takes an `Answer` as its first argument. ``name`` is that of the command, None for
+    the name of the function; ``epilog`` is the end of its help.
+    """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         @wraps(function)
@@ -245,9 +266,9 @@ def command(
 
 
 def print_error(error: UnbendError, subject: str = "") -> None:
-    """Write a refusal to standard error; ``subject`` is the mission file if there are several.
+    """Write a refusal to standard error, after its ``subject``, the mission file, if given.
 
-    In a terminal its lines are wrapped, the further ones behind the first.
+    In a terminal its lines are wrapped, with a hanging indent.
     """
     text = f"{subject}: {error}" if subject else str(error)
     shown = visible(text, keep="\n")
@@ -259,15 +280,18 @@ def print_error(error: UnbendError, subject: str = "") -> None:
 
 
 def print_bug(text: str, subject: str = "") -> None:
-    """Write a traceback to standard error, with the request to report it and where."""
-    where = f"{subject}: " if subject else ""
+    """Write a traceback to standard error, with the request to report it.
+
+    ``text`` is the traceback, ``subject`` the mission file, if given.
+    """
+    prefix = f"{subject}: " if subject else ""
     text = visible(text, keep="\n")
     request = f"please report the lines above {receiver_of_reports()}"
-    print(f"{text}\n{visible(where)}this is a bug in unbend: {request}", file=sys.stderr)
+    print(f"{text}\n{visible(prefix)}this is a bug in unbend: {request}", file=sys.stderr)
 
 
 def receiver_of_reports() -> str:
-    """Where bugs are reported: the address `Issues` of pyproject.toml, if it was filled in."""
+    """Where to report bugs, in words: the address `Issues` of pyproject.toml, if there is one."""
     from importlib.metadata import PackageNotFoundError, metadata
 
     try:
@@ -282,7 +306,10 @@ def receiver_of_reports() -> str:
 
 
 def write_rows_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Write rows of the same keys as CSV; StorageError if the file cannot be written."""
+    """Write rows as CSV, with the keys of the first row as header; there must be a row.
+
+    StorageError if the file cannot be written.
+    """
     with storage_errors(path), path.open("w", newline="", encoding="utf-8") as file:
         writer = csv_module.DictWriter(file, list(rows[0]))
         writer.writeheader()

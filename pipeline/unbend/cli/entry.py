@@ -25,22 +25,25 @@ from unbend.report.words import visible
 # The import of these modules registers their commands.
 _COMMANDS = (guide, missions, physics, results)
 
-# Base class of all errors in a command line: click's UsageError, or that of the copy of click in
+# UsageError, the base class of all errors in a command line: of click, or of the copy of click in
 # newer versions of typer.
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 
 def _install_signal_handlers() -> None:
-    """Exit with 130 at the first Ctrl-C, unless ignored (``nohup``), and with 143 at SIGTERM."""
-    # SystemExit, not KeyboardInterrupt: where the latter passes through an exec(), as in the import
-    # of a dataclass, Python ends the process by the signal, whatever its exit code.
+    """Let Ctrl-C end the process with exit code 130, and SIGTERM with 143.
+
+    Ctrl-C stays ignored if the parent process ignores it, as ``nohup`` does.
+    """
+    # `end_process` raises SystemExit, not KeyboardInterrupt: if that passes through exec(), as in the
+    # import of a dataclass, Python ends the process by the signal, without an exit code.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: end_process(EXIT_INTERRUPTED))
     signal.signal(signal.SIGTERM, lambda *_: end_process(EXIT_TERMINATED))
 
 
 def run_command(arguments: list[str]) -> int:
-    """Run one command and return its exit code; a signal ends it by SystemExit."""
+    """Run one command and return its exit code; SystemExit if a signal ends it."""
     try:
         return invoke_command(arguments)
     except Exception:
@@ -49,7 +52,10 @@ def run_command(arguments: list[str]) -> int:
 
 
 def invoke_command(arguments: list[str]) -> int:
-    """Run one command and return its exit code; typer's main() would give bugs codes of its own."""
+    """Run one command and return its exit code; its errors are raised.
+
+    typer's main() is not used, because it turns errors into other exit codes.
+    """
     command = typer.main.get_command(app)
     if instruction := os.environ.get("_UNBEND_COMPLETE"):  # the shell asks for completions
         from typer.completion import shell_complete
@@ -66,12 +72,13 @@ def invoke_command(arguments: list[str]) -> int:
 def main() -> None:
     """Run the command of this process, and end the process with its exit code."""
     use_same_arithmetic()
-    # Colours of numba's messages: it resets them at the end, on terminals without colours too.
+    # Without it numba resets the colours of a terminal at exit, also if it has none.
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # redirected on Windows: code page 1252, strict
+        # A redirected stream of Windows has code page 1252, and fails for other characters.
+        if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # Python then exits with 1, EXIT_BUG.
+    # After an error that is not caught below, Python prints it by this and exits with 1, EXIT_BUG.
     sys.excepthook = lambda *error: print_bug("".join(traceback.format_exception(*error)))
     sys.unraisablehook = send_again_if_ignored
     _install_signal_handlers()
@@ -92,7 +99,7 @@ def main() -> None:
         print(visible(text.getvalue(), keep="\n"), end="", file=sys.stderr)
         code = EXIT_CONFIG
     except BrokenPipeError:
-        # The reader of a pipe has closed it. Python flushes the rest at exit: let that succeed.
+        # The reader closed the pipe. Python flushes the rest at exit, which must not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_INTERRUPTED)
     finally:

@@ -1,4 +1,4 @@
-"""Commands that need no mission: the first mission file, the schema, and help on words."""
+"""Commands that need no mission: init, schema, help and warm."""
 
 import json
 from pathlib import Path
@@ -63,7 +63,10 @@ def explain_word(
 
 
 def lines_on(word: str) -> list[str]:
-    """Lines that explain a word; a command is explained by its own --help."""
+    """Lines that explain a word; for a command they refer to its --help.
+
+    Refuses a word that is unknown.
+    """
     from unbend.report.explanations import explain
 
     of_command = []
@@ -98,8 +101,8 @@ def init(
     Open questions are TODO; `unbend check` lists them. mission.schema.json is written next to
     the file. Editors use it to complete and check keys.
     """
-    printed = str(out) == "-"
-    if not printed and out.exists() and not force:
+    prints_it = str(out) == "-"
+    if not prints_it and out.exists() and not force:
         raise messages.file_exists(path=str(out))
     with answer.progress(f"reading {log.name}"):
         import yaml
@@ -107,11 +110,11 @@ def init(
         from unbend.batch.proposal.mission_text import propose_mission
         from unbend.config.yaml_text import open_questions
 
-        target = Path("mission.yaml") if printed else out
+        target = Path("mission.yaml") if prints_it else out  # its folder counts: paths are relative
         text = propose_mission(log, observations, images, target)
         questions = open_questions(yaml.safe_load(text))
     content = {"questions": [".".join(map(str, place)) for place in questions]}
-    if printed:
+    if prints_it:
         if answer.as_json:
             answer.print_json(content | {"text": text})
         elif not answer.quiet:
@@ -120,11 +123,11 @@ def init(
     schema_file = out.parent / "mission.schema.json"
     with storage_errors(out):
         out.write_text(text, encoding="utf-8")
-    # Both files are in the JSON of this answer: that of `schema` would be a second one.
+    # Only one JSON may be printed: that of this answer has both files, so `schema` prints none.
     schema(Answer(quiet=answer.is_silent, as_json=False), schema_file)
     answer.print_json(content | {"written": [str(out), str(schema_file)]})
-    asked = f"{out}: {count(len(questions), 'open question')} (TODO)"
-    answer.print_paths([asked, f"  unbend check {out}"])
+    summary = f"{out}: {count(len(questions), 'open question')} (TODO)"
+    answer.print_paths([summary, f"  unbend check {out}"])
 
 
 @command(epilog="Example: unbend warm --json")

@@ -83,9 +83,9 @@ def run(
         chosen = select_missions(configs, names or (), shard_of(shard))
     entries: dict[MissionRef, dict[str, Any]] = {}
     ended: dict[MissionRef, MissionEnd] = {}
-    apart = jobs > 1 or scheduler is not None
+    in_other_processes = jobs > 1 or scheduler is not None  # then missions have no bars
     title = f"{len(chosen.missions)} missions"
-    run_waiting = partial(
+    run_in_executor = partial(
         run_missions,
         answer,
         jobs=jobs,
@@ -93,8 +93,8 @@ def run(
         force=force,
         verify_inputs=verify_inputs,
     )
-    ends = chosen.ends(run_waiting, again=force or verify_inputs)
-    with answer.progress(title) if apart else nullcontext(), closing(ends):
+    ends = chosen.ends(run_in_executor, run_unchanged=force or verify_inputs)
+    with answer.progress(title) if in_other_processes else nullcontext(), closing(ends):
         for ref, end in ends:
             ended[ref] = end
             entries[ref] = print_end(answer, ref.label, end, chosen)
@@ -114,31 +114,40 @@ def run_missions(
     force: bool,
     verify_inputs: bool,
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
-    """Run missions in this process, in so many others, or on the workers of a scheduler."""
+    """Run missions; yields how each ended, as soon as it did.
+
+    They run on the workers of a ``scheduler`` (its address), else for more than one of ``jobs`` in
+    as many other processes, else in this process. ``force`` and ``verify_inputs`` are those of
+    `run_mission`.
+    """
     with answer.progress("loading"):
         from unbend.batch.campaigns import run_chosen
         from unbend.batch.execute import run_many
         from unbend.batch.executors import Executor, Inline
 
     executor: Executor = Inline(answer.progress)
-    sent = {ref: ref for ref in missions}
+    ref_of_sent = {ref: ref for ref in missions}  # by the reference that is sent to the executor
     if scheduler is not None:
         from unbend.batch.dask_executor import DaskExecutor
 
         executor = DaskExecutor(scheduler)
-        sent = {replace(ref, path=ref.path.absolute()): ref for ref in missions}
+        ref_of_sent = {replace(ref, path=ref.path.absolute()): ref for ref in missions}
     elif jobs > 1 and len(missions) > 1:
         from unbend.batch.processes import Processes
 
         executor = Processes(jobs)
     task = partial(run_chosen, force=force, verify_inputs=verify_inputs)
-    with closing(run_many(task, list(sent), executor)) as ends:
-        for ref, end in ends:
-            yield sent[ref], end
+    with closing(run_many(task, list(ref_of_sent), executor)) as ends:
+        for sent_ref, end in ends:
+            yield ref_of_sent[sent_ref], end
 
 
 def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -> dict[str, Any]:
-    """Print how a mission ended, of a campaign in a line; its entry in the JSON of the command."""
+    """Print how a mission ended, and return its entry in the JSON of the command.
+
+    ``config`` is the label of the mission. Among several missions nothing is printed here for an
+    unchanged one, and in a campaign only one line for any other.
+    """
     from unbend.batch.executors import Bug
     from unbend.batch.results import read_manifest
 
@@ -147,8 +156,8 @@ def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -
     if isinstance(end, Bug):
         print_bug(end.traceback, config)
         return {"config": config, "exit_code": EXIT_BUG}
-    several = len(chosen.missions) > 1
-    if end.manifest is not None and not (end.repeated and several):
+    is_one_of_several = len(chosen.missions) > 1
+    if end.manifest is not None and not (end.repeated and is_one_of_several):
         from unbend.report.terminal import print_run
 
         print_run(
@@ -157,7 +166,7 @@ def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -
             str(end.output),
             end.manifest,
             repeated=end.repeated,
-            brief=several and bool(chosen.campaigns),
+            brief=is_one_of_several and bool(chosen.campaigns),
         )
     entry: dict[str, Any] = {
         "config": config,
@@ -174,7 +183,7 @@ def print_end(answer: Answer, config: str, end: MissionEnd, chosen: Selection) -
 def print_repeated(
     answer: Answer, chosen: Selection, ended: Mapping[MissionRef, MissionEnd]
 ) -> None:
-    """Print which of several missions were unchanged, in the order of the files."""
+    """Print which missions were unchanged, in the order of the files; nothing for one mission."""
     from unbend.batch.executors import Outcome
     from unbend.report.terminal import print_unchanged
 
@@ -188,7 +197,7 @@ def print_repeated(
 
 
 def print_refused(config: str, error: UnbendError) -> dict[str, Any]:
-    """Print the refusal of a mission; its entry in the JSON of the command."""
+    """Print the refusal of a mission, and return its entry in the JSON of the command."""
     print_error(error, config)
     refusal = {
         "code": error.code,
@@ -200,7 +209,7 @@ def print_refused(config: str, error: UnbendError) -> dict[str, Any]:
 
 
 def end_of_command(answer: Answer, entries: Sequence[Mapping[str, Any]]) -> NoReturn:
-    """Print the entries as JSON if that is wanted, and exit with the code of all missions."""
+    """Print the entries of the missions if JSON is wanted, and exit with the command's code."""
     from unbend.batch.execute import exit_code_of_command
 
     answer.print_json(entries)
@@ -285,7 +294,7 @@ def status(answer: Answer, configs: Configs, names: Names = None) -> None:
 
 
 def status_of(answer: Answer, ref: MissionRef, chosen: Selection) -> tuple[str, list[str]]:
-    """Where the results of a mission go, and why it would run: no reason where it would not."""
+    """Where the results of a mission go, and why it would run; no reasons if it would not run."""
     if chosen.is_unchanged(ref):
         return str(chosen.named[ref].output), []
     with answer.progress(f"looking at {ref.path.name}"):
@@ -310,23 +319,23 @@ def stations(
         from unbend.report.terminal import print_stations
         from unbend.tables.writing import rows_of_stations
 
-        checked = read_mission(config)
-        table = rows_of_stations(checked.stations)
+        prepared = read_mission(config)
+        rows = rows_of_stations(prepared.stations)
     if csv is not None:
-        write_rows_csv(csv, table)
+        write_rows_csv(csv, rows)
     if plot is not None:
         with answer.progress(f"drawing {plot.name}"):
             from unbend.report.command_plots import flight_figure, save_figure
 
-            suspect = [(stretch.begin_ns, stretch.end_ns) for stretch in checked.flight.suspect]
-            save_figure(flight_figure(checked.stations, checked.track(), suspect), plot)
-    print_stations(answer.console, table)
-    about = ("EVENTS-", "EXIF-", "IMAGES-", "STATIONS-", "SUSPECT-")
+            suspect = [(stretch.begin_ns, stretch.end_ns) for stretch in prepared.flight.suspect]
+            save_figure(flight_figure(prepared.stations, prepared.track(), suspect), plot)
+    print_stations(answer.console, rows)
+    about_stations = ("EVENTS-", "EXIF-", "IMAGES-", "STATIONS-", "SUSPECT-")
     shown = []
-    for entry in checked.ledger.records():
-        if entry.kind != Kind.NOTE or entry.code.startswith(about):
+    for entry in prepared.ledger.records():
+        if entry.kind != Kind.NOTE or entry.code.startswith(about_stations):
             shown.append(entry)
-    answer.end({"stations": table}, checked.ledger, csv, plot, shown=shown)
+    answer.end({"stations": rows}, prepared.ledger, csv, plot, shown=shown)
 
 
 @command(epilog="Example: unbend inspect flight.bin; unbend inspect flight.bin --type BARO --csv")
@@ -373,7 +382,10 @@ def print_messages(
     kind: str | None,
     as_csv: bool,
 ) -> None:
-    """Print the messages of one kind: every row as CSV, or what their fields hold."""
+    """Print the messages of one kind: each row as CSV, or a summary of their fields.
+
+    ``columns`` are the values by field, ``log`` is the name of the log's file.
+    """
     if as_csv:
         if not answer.quiet:
             from unbend.report.message_csv import write_messages_csv
@@ -390,7 +402,7 @@ def print_messages(
 
 
 def print_weather_model(answer: Answer, path: Path) -> bool:
-    """Print what a file of a weather model contains; False for any other file."""
+    """Print what a file of a weather model contains; returns False for any other file."""
     from unbend.tables.weather_files import contents_of, is_model_file
 
     if not is_model_file(path):
@@ -406,7 +418,7 @@ def print_weather_model(answer: Answer, path: Path) -> bool:
 
 
 def print_weather(answer: Answer, path: Path) -> bool:
-    """Print how a sounding or a text of METARs is read; False for a file that is neither."""
+    """Print how a sounding or a text of METARs is read; returns False for any other file."""
     from unbend.ingest.registry import is_log
     from unbend.tables.inspected_readings import reading_of_weather
 

@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 DEFAULT_ATMOSPHERE = "us1976"
 DEFAULT_METHOD = "spherical"
 DEFAULT_INDEX = "ciddor"
-ACCURACY = "accuracy"  # stands for a paper: all published methods compared
+ACCURACY = "accuracy"  # in place of a paper: a comparison of all published methods
 LARGEST_ANGLE_DEG = 60.0  # of a table of angles, by default
 STEP_DEG = 5.0  # between its rows, by default
 
 
 def _methods() -> list[str]:
-    """Names that a shell completes; imported when it asks."""
+    """The names of the methods; they are imported only when a shell or the help needs them."""
     from unbend.refraction import METHODS
 
     return list(METHODS)
 
 
 def _atmospheres() -> list[str]:
-    """Names that a shell completes; imported when it asks."""
+    """The names of the standard atmospheres; they are imported only when a shell needs them."""
     return list(import_module("unbend.atmosphere.standard").ATMOSPHERES)
 
 
@@ -81,7 +81,7 @@ class _AngleCommand(TyperCommand):
     """`unbend angle`: its help lists all methods, which are imported when it is shown."""
 
     def format_options(self, ctx: HelpContext, formatter: HelpFormatter) -> None:
-        """The options, and below them the names that --method takes."""
+        """Write the options, and below them the names of the methods."""
         super().format_options(ctx, formatter)
         with formatter.section("Methods"):
             formatter.write_text(", ".join(_methods()))
@@ -139,8 +139,8 @@ def angle(
             csv=csv,
         )
     else:
-        options_of_table = (config, camera, focal_px, max_angle, step, csv)
-        refuse_options_of_table(camera_height, options_of_table)
+        table_options = (config, camera, focal_px, max_angle, step, csv)
+        refuse_options_of_table(camera_height, table_options)
         with answer.progress("tracing the ray"):
             from unbend.atmosphere.refractive_index import DEFAULT_WAVELENGTH_M, IndexModel
             from unbend.refraction.angle import one_angle
@@ -163,14 +163,20 @@ def angle(
 
 
 def refuse_options_of_one_angle(method: str, index: str, distance: float | None) -> None:
-    """Refuse (ANGLE-ARGUMENTS) what a table of angles cannot have."""
+    """Refuse (ANGLE-ARGUMENTS) options for one angle in a command for a table of angles.
+
+    A value that differs from the default was given.
+    """
     if method != DEFAULT_METHOD or index != DEFAULT_INDEX or distance is not None:
         raise messages.angle_options(options="--method, --index, --distance", other="one angle")
 
 
-def refuse_options_of_table(camera_heights: list[float], of_table: Iterable[object]) -> None:
-    """Refuse (ANGLE-ARGUMENTS) what one angle cannot have; options not given are None."""
-    if len(camera_heights) > 1 or any(value is not None for value in of_table):
+def refuse_options_of_table(camera_heights: list[float], table_options: Iterable[object]) -> None:
+    """Refuse (ANGLE-ARGUMENTS) options for a table of angles in a command for one angle.
+
+    ``table_options`` are the values of these options, None for an option that was not given.
+    """
+    if len(camera_heights) > 1 or any(value is not None for value in table_options):
         raise messages.angle_options(
             options="several heights, --config, --camera, --focal-px, --max-angle, --step, --csv",
             other="a table",
@@ -192,10 +198,14 @@ def print_table_of_angles(
     radius: float,
     csv: Path | None,
 ) -> NoReturn:
-    """Print refraction by nadir angle and flying height, or write it to ``csv``; then exit."""
+    """Print refraction by nadir angle and flying height, or write it to ``csv``; then exit.
+
+    Heights and ``radius`` are metres, ``wavelength`` metres in vacuum, ``max_angle`` and ``step``
+    degrees. None takes the default.
+    """
     if config is None and atmosphere is None:
         atmosphere = DEFAULT_ATMOSPHERE
-    require_one_atmosphere(config, atmosphere)  # refuses both
+    require_one_atmosphere(config, atmosphere)  # refuses if both are given
     if max_angle is None:
         max_angle = LARGEST_ANGLE_DEG
     if step is None:
@@ -276,7 +286,10 @@ def tables(
 def print_accuracy_of_methods(
     answer: Answer, atmosphere: str, csv: Path | None, out: Path | None
 ) -> None:
-    """The comparison of all published methods with the exact ray, printed or written."""
+    """Compare all published methods with the exact ray, and print or write the comparison.
+
+    ``csv`` gets the rows, ``out`` the page; without both a table is printed.
+    """
     with answer.progress("comparing the methods"):
         from unbend.report.accuracy import compare_all, comparison_rows, print_accuracy
 
@@ -292,7 +305,10 @@ def print_accuracy_of_methods(
 
 
 def write_comparison(accuracy: "Accuracy", path: Path) -> None:
-    """Write the comparison of the methods as a page, with its picture in the same folder."""
+    """Write the comparison of the methods as a Markdown page, with its picture in the same folder.
+
+    Refuses (PAGE-FORMAT) a path that does not end in .md.
+    """
     from unbend.batch.store import atomic_write
     from unbend.report.accuracy import accuracy_page, accuracy_png, text_hash
 
@@ -352,6 +368,6 @@ def profile(
 
 
 def require_one_atmosphere(config: Path | None, atmosphere: str | None) -> None:
-    """Refuse (PROFILE-ARGUMENTS) a mission and a standard atmosphere together, and neither."""
+    """Refuse (PROFILE-ARGUMENTS) unless exactly one of mission and standard atmosphere is given."""
     if (config is None) == (atmosphere is None):
         raise messages.one_atmosphere_wanted()

@@ -1,4 +1,4 @@
-"""Commands on the results of a run: export and verify."""
+"""Commands on the results of a run: export, report and verify."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from unbend.report.words import count
 
 @cache
 def _format_parameters() -> tuple[Any, ...]:
-    """Parameters of ``unbend export`` that the formats declare: --format, and their options."""
+    """Parameters of ``unbend export`` for formats, as typer has them: --format, and their options.
+
+    An option that several formats have is one parameter.
+    """
     from unbend.tables.exports import FORMATS
 
     options = {}
@@ -44,36 +47,36 @@ def _format_parameters() -> tuple[Any, ...]:
         ]
         parameters.append(Parameter(option.name, Parameter.KEYWORD_ONLY, default=None))
 
-    def declared() -> None:
-        """Only its parameters are used."""
+    def stand_in() -> None:
+        """Never called: typer makes parameters from its signature."""
 
-    declared.__annotations__ = hints
-    declared.__signature__ = Signature(  # type: ignore[attr-defined]
+    stand_in.__annotations__ = hints
+    stand_in.__signature__ = Signature(  # type: ignore[attr-defined]
         [p.replace(annotation=hints[p.name]) for p in parameters]
     )
     command = typer.Typer(add_completion=False, rich_markup_mode=None)
-    command.command()(declared)
+    command.command()(stand_in)
     return tuple(typer.main.get_command(command).params)
 
 
 class _ExportCommand(TyperCommand):
-    """`unbend export`, with the options of the formats; they are imported when it is used."""
+    """`unbend export` with the options of the formats, which are imported only when it is used."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """The command's parameters, with the formats' options before those of every command."""
-        of_command = len(self.params)
+        """The parameters of the command, then those of the formats, then --help."""
+        command_count = len(self.params)  # those of `export`; super() appends --help
         params = super().get_params(ctx)
         quiet = not {"-q", "--quiet"}.isdisjoint(sys.argv)
         with Answer(quiet=quiet, as_json="--json" in sys.argv).progress("loading"):
             _format_parameters()
-        return [*params[:of_command], *_format_parameters(), *params[of_command:]]
+        return [*params[:command_count], *_format_parameters(), *params[command_count:]]
 
     def format_options(self, ctx: HelpContext, formatter: HelpFormatter) -> None:
-        """The options, and below them the formats with what each writes."""
+        """Write the options, and below them the formats with what each writes."""
         from unbend.tables.exports import FORMATS
 
         super().format_options(ctx, formatter)
-        names_by_contents: dict[str, list[str]] = {}  # a table has two, as Parquet and as CSV
+        names_by_contents: dict[str, list[str]] = {}  # two for a table: as Parquet and as CSV
         for form in FORMATS.values():
             names_by_contents.setdefault(form.contents, []).append(form.name)
         rows = [(", ".join(names), contents) for contents, names in names_by_contents.items()]
@@ -81,7 +84,7 @@ class _ExportCommand(TyperCommand):
             formatter.write_dl(rows)
 
     def invoke(self, ctx: Any) -> Any:
-        """Hand the function of the command what the formats declare as one mapping."""
+        """Call the function of the command with the formats' parameters as a mapping, `ctx.obj`."""
         ctx.obj = {p.name: ctx.params.pop(p.name) for p in _format_parameters()}
         return super().invoke(ctx)
 
@@ -198,13 +201,13 @@ def verify(
         from unbend.batch.results import read_manifest, verify_run
 
         output = located(run)
-        is_wanted = True
+        has_results = True  # else only leftovers were removed
         if remove_leftovers and isinstance(output, remote.Place):
             removed, young = remote.remove_leftovers(output, recent=recent)
             print_leftovers(answer, removed, young)
             content = {"removed": removed, "kept": young}
-            is_wanted = read_manifest(output) is not None
-        manifest = verify_run(output) if is_wanted else None
+            has_results = read_manifest(output) is not None
+        manifest = verify_run(output) if has_results else None
     if manifest is None:
         answer.print_json(content)
         return
@@ -218,7 +221,7 @@ def verify(
 
 
 def print_leftovers(answer: Answer, removed: Sequence[str], young: int) -> None:
-    """Print what interrupted runs left in object storage, and how much of it stays."""
+    """Print the removed leftovers of interrupted runs, and the number of young ones that stay."""
     answer.print_paths(f"removed {name}" for name in removed)
     if young:
         uploads = count(young, "upload")

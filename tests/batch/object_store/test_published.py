@@ -220,7 +220,7 @@ def test_what_lies_in_an_attempt_and_belongs_to_no_run(s3_place, tmp_path):
     done = publish(s3_place, tmp_path, 1)
     extra = s3_place / f"attempts/{done.run.attempt}/observations/part-00001.parquet"
     assert extra.put(b"x", None)
-    damage = find_damage(s3_place, done, read=False)
+    damage = find_damage(s3_place, done, hash_all=False)
     assert damage == ["observations/part-00001.parquet: belongs to no run"]
 
 

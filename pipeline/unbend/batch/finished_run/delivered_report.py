@@ -37,7 +37,7 @@ BROWSERS = (
 )
 """Programs that print pages as Chromium does, by their names on the path."""
 
-_OF_OTHER_SYSTEMS = (
+_BROWSERS_OFF_THE_PATH = (  # of macOS and Windows
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Chromium.app/Contents/MacOS/Chromium",
     "C:/Program Files/Google/Chrome/Application/chrome.exe",
@@ -45,12 +45,12 @@ _OF_OTHER_SYSTEMS = (
 )
 
 MARGIN_BOXES_SINCE = 131
-"""The version of Chromium that prints heads and page numbers of a style sheet. Older ones print
-heads of their own: title, address, date and number."""
+"""The first version of Chromium that prints the heads and page numbers of a style sheet. Older
+versions print their own heads: title, address, date and number."""
 
 _PDF_START = b"%PDF"
 _PDF_END = b"%%EOF"
-_END_BYTES = 64  # of a file, among which its end mark is
+_END_BYTES = 64  # at the end of a file, which contain the mark of its end
 
 
 def deliver_report(
@@ -62,11 +62,12 @@ def deliver_report(
     timeout_s: float,
     force: bool = False,
 ) -> tuple[Path, Ledger]:
-    """Write the report of a run to ``out``, by default one named after the mission, here.
+    """Write the report of a run to a file, as an HTML page or with ``pdf`` as a PDF.
 
-    ``browser`` is a program or its path; by default the first of `BROWSERS` that is there. Refuses
-    (ConfigError) a PDF without a browser, and one that does not print in time. Returns the file and
-    what there is to say.
+    Without ``out`` the file is named after the mission, in the current folder; ``force`` replaces
+    it. ``browser`` is the program that prints the PDF, or its path; by default the first of
+    `BROWSERS` that is installed. Refuses (ConfigError) a PDF without a browser, and a browser that
+    does not print within ``timeout_s``. Returns the path of the file, and notes.
     """
     program = find_browser(browser) if pdf else ""
     folder = copy_of_run(run) if isinstance(run, Place) else run
@@ -81,8 +82,8 @@ def deliver_report(
     text = (folder / REPORT).read_text(encoding="utf-8")
     if PROCESSED not in text:
         ledger.add(messages.report_without_date(path=str(folder / REPORT)))
-    words = time_of_processing(processed_at(run), manifest.sections.mission.time_zone)
-    page = text.replace(PROCESSED, f"<dt>Processed</dt><dd>{escape(words)}</dd>")
+    time_text = time_of_processing(processed_at(run), manifest.sections.mission.time_zone)
+    page = text.replace(PROCESSED, f"<dt>Processed</dt><dd>{escape(time_text)}</dd>")
     with store.atomic_write(out) as draft:
         if pdf:
             print_pdf(page, draft, program, timeout_s)
@@ -103,8 +104,11 @@ def processed_at(run: Path | Place) -> float:
 
 
 def find_browser(named: str | None) -> str:
-    """The path of a browser; refuses (REPORT-BROWSER) where there is none."""
-    candidates = (named,) if named else (*BROWSERS, *_OF_OTHER_SYSTEMS)
+    """The path of the browser that is ``named``, or of an installed one if None is given.
+
+    Refuses (REPORT-BROWSER) a browser that is not installed.
+    """
+    candidates = (named,) if named else (*BROWSERS, *_BROWSERS_OFF_THE_PATH)
     for candidate in candidates:
         program = shutil.which(candidate)
         if program is not None:
@@ -115,13 +119,13 @@ def find_browser(named: str | None) -> str:
 
 
 def print_pdf(page: str, out: Path, browser: str, timeout_s: float) -> None:
-    """Print a page of HTML to a PDF; refuses (REPORT-BROWSER) what does not come out whole."""
+    """Print a page of HTML to the PDF ``out``; refuses (REPORT-BROWSER) an incomplete PDF."""
     with tempfile.TemporaryDirectory(prefix="unbend-") as folder:
         source = Path(folder) / REPORT
         target = Path(folder) / "report.pdf"
         source.write_text(page, encoding="utf-8")
         command = print_command(browser, source, target, Path(folder) / "profile")
-        printed = run_within(command, timeout_s)
+        printed = output_of_program(command, timeout_s)
         if not is_whole_pdf(target):
             last_lines = " ".join(printed.split())[-300:]
             raise messages.print_failed(browser=browser, said=last_lines or "it printed no message")
@@ -129,7 +133,10 @@ def print_pdf(page: str, out: Path, browser: str, timeout_s: float) -> None:
 
 
 def print_command(browser: str, source: Path, target: Path, profile: Path) -> list[str]:
-    """The command that prints a page: without network, and with a profile of its own."""
+    """The command that prints the page ``source`` to the PDF ``target``, without network.
+
+    ``profile`` is a new folder for the settings of the browser, so that the user's are not used.
+    """
     command = [
         browser,
         "--headless",
@@ -148,19 +155,20 @@ def print_command(browser: str, source: Path, target: Path, profile: Path) -> li
 
 
 def version_of(browser: str) -> int:
-    """The main version of a browser; 0 where it does not say."""
+    """The main version of a browser; 0 if it does not print one."""
     try:
-        version = run_within([browser, "--version"], timeout_s=20.0)
+        version = output_of_program([browser, "--version"], timeout_s=20.0)
     except ConfigError:
         return 0
     numbers = re.search(r"(\d+)\.\d+\.\d+", version)
     return int(numbers[1]) if numbers else 0
 
 
-def run_within(command: Sequence[str], timeout_s: float) -> str:
-    """What a program said; refuses (REPORT-BROWSER) one that does not start, or not end in time.
+def output_of_program(command: Sequence[str], timeout_s: float) -> str:
+    """Run a program, and return what it printed.
 
-    It is ended with all processes that it started.
+    Refuses (REPORT-BROWSER) a program that does not start, or does not end within ``timeout_s``;
+    it is then killed with all processes that it started.
     """
     is_posix = sys.platform != "win32"
     try:
@@ -179,12 +187,12 @@ def run_within(command: Sequence[str], timeout_s: float) -> str:
         raise messages.print_too_long(browser=command[0], seconds=timeout_s) from None
     finally:
         if process.poll() is None:
-            end_process(process, is_group=is_posix)
+            kill_program(process, is_group=is_posix)
     return printed.decode("utf-8", "replace")
 
 
-def end_process(process: subprocess.Popen[bytes], *, is_group: bool) -> None:
-    """End a program that runs on, and what it started."""
+def kill_program(process: subprocess.Popen[bytes], *, is_group: bool) -> None:
+    """Kill a program that still runs; with ``is_group`` all processes that it started, too."""
     if is_group:
         os.killpg(process.pid, signal.SIGKILL)
     else:

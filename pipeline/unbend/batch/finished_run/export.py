@@ -43,10 +43,11 @@ from unbend.tables.manifest.whole import Manifest
 from unbend.tables.refraction_mark import SIDECAR, sidecar_text
 from unbend.units import Array, Integers
 
-_MOST_CHECKED = 50_000  # observations of a run that are computed again, spread over all of them
+_MOST_CHECKED = 50_000  # observations that are computed again, spread over all of a run
 _LARGEST_DIFFERENCE_PX = 1e-6  # of reading back; the sample runs are reproduced to the last bit
 _LARGEST_CHECKED_RAD = np.radians(80.0)
-"""Beyond, an observation may be on the far branch by its distance, which no table keeps."""
+"""Beyond this nadir angle the correction may depend on the distance of the point, which the table
+does not have: the ray can cross the height of the ground twice."""
 
 _CHECKED_NUMBERS = ("x_px", "y_px", "x_corrected_px", "y_corrected_px", "zeta_c_rad", "h_g_m")
 _CHECKED = [*_CHECKED_NUMBERS, "status"]
@@ -55,23 +56,23 @@ _CHECKED = [*_CHECKED_NUMBERS, "status"]
 
 @dataclass(frozen=True)
 class ExportSystem:
-    """The coordinate system that is asked for, as EPSG:25832; empty: that of the format.
+    """The coordinate system of an export, as EPSG:25832; "" takes the default of the format.
 
-    ``geoid`` is the grid of the heights in its vertical part.
+    ``geoid`` is the grid of the heights in the vertical part of the system; None without one.
     """
 
     crs: str = ""
     geoid: Path | None = None
 
 
-OWN_SYSTEM = ExportSystem()
+SYSTEM_OF_FORMAT = ExportSystem()
 
 
 @dataclass(frozen=True)
 class WrittenExport:
-    """What an export wrote: its number of rows, the frame of them, and notes on what was left out.
+    """What an export wrote: the number of rows, their frame, and notes on what was left out.
 
-    ``frame`` : see `unbend.tables.exports.export_frames`.
+    ``frame`` is described in `unbend.tables.exports.export_frames`.
     """
 
     rows: int
@@ -85,16 +86,17 @@ def export_run(
     out: Path,
     options: Mapping[str, Any],
     *,
-    system: ExportSystem = OWN_SYSTEM,
+    system: ExportSystem = SYSTEM_OF_FORMAT,
     ground_height_m: float | None = None,
     force: bool = False,
     progress: ExportProgress = NO_PROGRESS,
 ) -> WrittenExport:
-    """Write a finished run to ``out`` in the format of a ``name``, with the format's options.
+    """Write a finished run to ``out`` in the format called ``name``.
 
-    ``system`` is the coordinate system that is asked for. ``ground_height_m`` [m above sea level]
-    replaces the run's ground heights. ``force`` replaces a file at ``out``, never a folder. Beside
-    the file, or in the folder, a sidecar has the frame as JSON.
+    ``path`` is the run, ``options`` are values of the format's options by name. ``system`` is the
+    coordinate system of the export. ``ground_height_m`` [m above sea level] replaces the run's
+    ground heights. ``force`` replaces a file at ``out``, never a folder. A sidecar next to the
+    file, or in the folder, has the frame as JSON.
     """
     form = find_format(name, out)
     is_folder = not form.ending  # a format with an ending is one file
@@ -120,12 +122,12 @@ def export_run(
         # The mark appears before the file: points without it might be corrected again.
         about = {"mission": run.mission, "format": name, "frame": frame}
         if is_folder:
-            beside = draft / (form.marked[0] if form.marked else name)
-            files = {file: draft / file for file in form.marked}
+            main_file = draft / (form.marked[0] if form.marked else name)
+            corrected_files = {file: draft / file for file in form.marked}
         else:
-            beside = out
-            files = {out.name: draft} if form.marked else {}
-        write_sidecar(beside, files, about, ledger)
+            main_file = out
+            corrected_files = {out.name: draft} if form.marked else {}
+        write_sidecar(main_file, corrected_files, about, ledger)
     return WrittenExport(rows, frame, ledger)
 
 
@@ -141,7 +143,10 @@ def refuse_system(form: ExportFormat, system: ExportSystem) -> None:
 def grid_of_export(
     run: FinishedRun, form: ExportFormat, system: ExportSystem
 ) -> tuple[MapGrid | None, Notes]:
-    """The coordinate system that is asked for, or the format's own, or None; and its notes."""
+    """The coordinate system of an export with the notes on it; None for a format without one.
+
+    It is that of ``system`` or else the default of the format, which gives no notes.
+    """
     if form.grid is None:
         return None, ()
     wanted = system.crs or form.grid.default
@@ -159,28 +164,29 @@ def grid_of_export(
 
 
 def write_sidecar(
-    beside: Path, files: Mapping[str, Path], about: Mapping[str, Any], ledger: Ledger
+    main_file: Path, corrected_files: Mapping[str, Path], about: Mapping[str, Any], ledger: Ledger
 ) -> None:
-    """Write the JSON of an export: its frame, and whether refraction is removed from ``files``.
+    """Write the sidecar of an export: JSON with ``about``, the notes, and the corrected files.
 
-    Its path is ``beside`` with another ending. ``files`` are paths by the names they will have, of
-    the files with points from which refraction is removed; there may be none.
+    Its name is that of ``main_file`` with `SIDECAR` appended. ``corrected_files`` are the files
+    with points from which refraction is removed: their present paths by their final names. There
+    may be none.
     """
     notes = [message.what for message in ledger]
-    text = sidecar_text(files, {**about, "notes": notes})
-    path = beside.with_name(beside.name + SIDECAR)
+    text = sidecar_text(corrected_files, {**about, "notes": notes})
+    path = main_file.with_name(main_file.name + SIDECAR)
     with store.atomic_write(path) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
 def refuse_output(run: Path, out: Path, *, force: bool) -> None:
-    """Refuse to write among the results of a run, over a folder, over a file or to a URL.
+    """Refuse to write into the folder of a run, over a folder, over a file or to a URL.
 
-    ``force`` allows to write over a file.
+    ``run`` is the folder of the run; ``force`` allows to replace a file.
     """
     if is_url(str(out)):
         raise url_for_export(url=str(out))
-    # A link may lie outside and lead among the results, or the other way round.
+    # A link outside may lead into the folder, or a link in the folder to another place.
     for resolve in (os.path.abspath, os.path.realpath):
         target = Path(resolve(out))
         if target.is_relative_to(resolve(run)):
@@ -192,14 +198,14 @@ def refuse_output(run: Path, out: Path, *, force: bool) -> None:
 
 
 def copy_of_run(place: Place) -> Path:
-    """The folder, in the user's cache, of a copy of the run that is published at a place.
+    """Copy the run that is published at a place; returns the folder of the copy.
 
-    If another run is published meanwhile, that run is copied.
+    It is in the user's cache. If another run is published meanwhile, that run is copied.
     """
     manifest = manifest_of_run(place)
     with suppress(FileNotFoundError, InputError):
         copy = remote.copy_of_attempt(place, manifest)
-        if not find_damage(place, manifest, read=False):  # all was there while it was copied
+        if not find_damage(place, manifest, hash_all=False):  # all was there while it was copied
             with store.atomic_write(copy / MANIFEST) as draft:
                 draft.write_text(manifest_text(manifest), encoding="utf-8")
             return copy
@@ -216,9 +222,10 @@ def rebuild_run(
     ledger: Ledger,
     progress: ExportProgress = NO_PROGRESS,
 ) -> FinishedRun:
-    """A run from its folder alone; ``ground_height_m`` [m above sea level] replaces its heights.
+    """A finished run as exports need it, from its folder ``path`` alone.
 
-    Refuses a run that has no corrections to remove refraction, and one whose corrections cannot be
+    ``ground_height_m`` [m above sea level] replaces the ground heights of the run. Refuses a run
+    that does not remove refraction (EXPORT-DIRECTION), and a run with corrections that cannot be
     computed again (EXPORT-NOT-REPRODUCED).
     """
     if ground_height_m is not None and not LOWEST_GROUND_M <= ground_height_m <= HIGHEST_GROUND_M:
@@ -232,7 +239,7 @@ def rebuild_run(
     stations = stations_of(table)
     common_air = air_of(pq.read_table(path / "profile.parquet"), table["profile_id"])
     air = air_by_camera(common_air, stations.camera, mission.wavelengths_m)
-    wavelengths = json.dumps(lights_of(mission, common_air))
+    wavelengths = json.dumps(wavelengths_of_cameras(mission, common_air))
     method = mission.refraction.method
     outputs = sorted(item.name for item in manifest.run.outputs)
     already_reported = Ledger()  # the run has made these notes, and its manifest has them
@@ -260,18 +267,18 @@ def rebuild_run(
     return run
 
 
-def lights_of(mission: Mission, air: ProfileSeries) -> dict[str, float]:
-    """The wavelength in vacuum [m] of the refraction of each camera."""
+def wavelengths_of_cameras(mission: Mission, air: ProfileSeries) -> dict[str, float]:
+    """The wavelength in vacuum [m] of the light of each camera; that of ``air`` if not stated."""
     common_m = air.index.light_m
-    lights = {}
+    wavelengths = {}
     for name in mission.cameras:
-        own_m = mission.wavelengths_m.get(name)
-        lights[name] = common_m if own_m is None else own_m
-    return lights
+        stated_m = mission.wavelengths_m.get(name)
+        wavelengths[name] = common_m if stated_m is None else stated_m
+    return wavelengths
 
 
 def cameras_of(mission: Mission) -> dict[str, ExportCamera]:
-    """The cameras of a mission with what exports need to know of them."""
+    """The cameras of a mission as exports need them: with window, pixel size and calibration."""
     cameras = {}
     for name, camera in mission.interior_orientations.items():
         section = mission.cameras[name]
@@ -292,8 +299,9 @@ def cameras_of(mission: Mission) -> dict[str, ExportCamera]:
 def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Array:
     """(s,) ground height [m above sea level] of each image: the median of its observations.
 
-    ``constant_m`` is the height of all images, if it is given. An image without observations gets
-    the median of the other images, with a note. Memory: 16 bytes an observation.
+    ``constant_m`` is the height of all images, unless it is None. A usable image without
+    observations gets the median of the other images, with a note; otherwise NaN. Memory: 16 bytes
+    an observation.
     """
     if constant_m is not None:
         return np.full(len(run.stations), constant_m)
@@ -318,14 +326,15 @@ def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Arr
 def database_of(mission: Mission, manifest: Manifest, path: Path) -> Path | None:
     """COLMAP's database that the run read; None if it read none, or it is gone or changed.
 
-    ``path`` is the run's folder. The mission file, from whose folder the database and the results
-    are named, need not be there any more.
+    ``path`` is the run's folder. The mission file may be gone. Its paths are relative to its
+    folder, which is unknown, so the database is located relative to the results.
     """
-    here = Path("/?/?/?/?/?")  # stands for the mission's folder; has room for five ".."
-    stated = mission.observations.path
-    if not os.path.isabs(stated):
-        stated = os.path.relpath(here / stated, here / mission.output.path)
-    file = path / stated
+    mission_folder = Path("/?/?/?/?/?")  # a stand-in for the unknown one; has room for five ".."
+    database = mission.observations.path
+    if not os.path.isabs(database):
+        results = mission_folder / mission.output.path
+        database = os.path.relpath(mission_folder / database, results)
+    file = path / database
     if file.suffix.lower() != ".db" or not file.is_file():
         return None
     hashes_read = {item.sha256 for item in manifest.run.inputs if item.role == "observations"}
@@ -342,10 +351,11 @@ def check_reproduced(run: FinishedRun, path: Path) -> None:
 
 
 def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) -> float:
-    """The largest difference between corrections in a table and those computed now [px].
+    """The largest difference between corrections in a table and those computed again [px].
 
-    Infinite if a correction cannot be computed now. Rows beyond 80 degrees, or without the status
-    ok, are not compared.
+    ``station`` (n,) is the index of the station of each row of ``table``. Infinite if a correction
+    cannot be computed again. Rows with a nadir angle beyond 80 degrees, or without the status ok,
+    are not compared.
     """
     columns = {}
     for column in _CHECKED_NUMBERS:
@@ -357,10 +367,10 @@ def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) 
     is_compared &= columns["zeta_c_rad"] < _LARGEST_CHECKED_RAD
     largest = 0.0
     for name, camera in run.cameras.items():
-        of_camera = is_compared & (run.stations.camera[station] == name)
-        for profile in np.unique(run.air.profile_number[station[of_camera]]):
-            rows = np.flatnonzero(of_camera & (run.air.profile_number[station] == profile))
-            now = correct_observations(
+        is_of_camera = is_compared & (run.stations.camera[station] == name)
+        for profile in np.unique(run.air.profile_number[station[is_of_camera]]):
+            rows = np.flatnonzero(is_of_camera & (run.air.profile_number[station] == profile))
+            recomputed = correct_observations(
                 columns["x_px"][rows],
                 columns["y_px"][rows],
                 columns["h_g_m"][rows],
@@ -370,8 +380,8 @@ def largest_difference_px(run: FinishedRun, table: pa.Table, station: Integers) 
                 table=run.rays[profile],
             )
             difference = np.hypot(
-                now.x_corrected_px - columns["x_corrected_px"][rows],
-                now.y_corrected_px - columns["y_corrected_px"][rows],
+                recomputed.x_corrected_px - columns["x_corrected_px"][rows],
+                recomputed.y_corrected_px - columns["y_corrected_px"][rows],
             )
             largest = max(largest, float(np.nan_to_num(difference, nan=np.inf).max()))
     return largest

@@ -25,9 +25,9 @@ from unbend.units import Array, Names
 
 
 def mission_of(manifest: Manifest, path: Path) -> Mission:
-    """The mission file as the run understood it, from its manifest."""
+    """The mission as the run understood it, from its manifest; ``path`` is the run's folder."""
     try:
-        # As text, because strict models take from JSON what they gave to it.
+        # As JSON text: a strict model refuses some values of JSON as Python objects, such as lists.
         config = json.dumps(manifest.run.config)
         return Mission.model_validate_json(config)
     except ValidationError as error:
@@ -39,7 +39,7 @@ def mission_of(manifest: Manifest, path: Path) -> Mission:
 
 
 def first_mistake(error: ValidationError, config: dict[str, Any]) -> str:
-    """One of the keys of a mission file that its model refuses, and why."""
+    """A sentence on the first key of a mission file that its model refuses; "" if there is none."""
     sentences = sentences_of(
         error.errors(include_url=False),
         config,
@@ -49,7 +49,7 @@ def first_mistake(error: ValidationError, config: dict[str, Any]) -> str:
 
 
 def numbers_of(table: pa.Table, name: str) -> Array:
-    """(k,) numbers of a column; NaN where it has none."""
+    """(k,) numbers of a column; NaN for null."""
     values = table[name].to_numpy()
     return np.asarray(values, dtype=np.float64)
 
@@ -76,7 +76,7 @@ class _Columns:
         return np.stack(components, axis=1)
 
     def text(self, name: str) -> Names:
-        """(s,) texts; empty where there is none."""
+        """(s,) texts; "" for null, and if the table has no such column."""
         if name not in self._table.schema.names:
             return np.full(self._table.num_rows, "", dtype=object)
         values = self._table[name].to_pylist()
@@ -90,7 +90,7 @@ def stations_of(table: pa.Table) -> Stations:
     time_utc = table["time_utc"].cast(pa.int64())
     time_ns = pc.fill_null(time_utc, int(NO_TIME))
     status = columns.text("status")
-    has_profile = table["profile_id"].is_valid()  # of suspect ones only those accepted
+    has_profile = table["profile_id"].is_valid()  # a suspect station has one only if accepted
     is_suspect = status == SUSPECT
     derived: dict[str, Any] = {
         "time_ns": time_ns.to_numpy().astype(np.int64),
@@ -111,12 +111,16 @@ def stations_of(table: pa.Table) -> Stations:
 
 
 def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
-    """Profiles of ``profile.parquet``, and which is each station's: the first if it has none."""
+    """The profiles of ``profile.parquet``, and the number of each station's profile.
+
+    ``profile_id`` (s,) is the identifier of the profile of each station; a station with null, or
+    with an identifier that is not in the table, gets the first profile.
+    """
     id_of_row = table["profile_id"]
     ids = pc.unique(id_of_row)
     profiles = []
-    for each_id in ids:
-        rows = table.filter(pc.equal(id_of_row, each_id))
+    for identifier in ids:
+        rows = table.filter(pc.equal(id_of_row, identifier))
         profile = profile_of(rows)
         profiles.append(TimedProfile(None, profile))
     number = pc.index_in(profile_id, value_set=ids)
@@ -125,7 +129,7 @@ def air_of(table: pa.Table, profile_id: pa.ChunkedArray) -> ProfileSeries:
 
 
 def text_metadata(table: pa.Table) -> dict[str, str]:
-    """The metadata of a table."""
+    """The metadata of a table as texts."""
     texts = {}
     for key, value in table.schema.metadata.items():
         texts[key.decode()] = value.decode()
@@ -133,7 +137,7 @@ def text_metadata(table: pa.Table) -> dict[str, str]:
 
 
 def profile_of(table: pa.Table) -> Profile:
-    """The profile from a table as in ``profile.parquet``; the inverse of `table_of_profile`.
+    """The profile from its rows in ``profile.parquet``; the inverse of `table_of_profile`.
 
     The rows are the layers at their lower edges and then the top of the last layer, which repeats
     the base values of that layer. The refractivity is that of the run to 1e-15 of itself (6e-16 in

@@ -1,4 +1,4 @@
-"""What a flight log decides of its mission file, and what it leaves open."""
+"""Values of a mission file that a flight log decides, and questions that it leaves open."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -24,19 +24,19 @@ from unbend.ingest.flight_log import utc_text
 from unbend.ingest.overview import SEA_LEVEL, flight_of
 
 OPEN_ROLES = ("ROLE-AMBIGUOUS", "CHANNEL-MISSING")
-"""Codes of notes on roles that a log leaves open."""
+"""Codes of notes on roles that several channels of a log could play, or none."""
 
 LATE_TRIGGER = "EVENTS-TRIGGER-TIME"
-"""Code of notes on channels of events that have the times of the triggers, not of the shutter."""
+"""Code of notes on channels of events with the times of the triggers, not of the shutter."""
 
 
 @dataclass(frozen=True)
 class LogFacts:
-    """What a log decides, for the template of the mission file.
+    """What a log decides, for the template of the mission file. Texts are "" if unknown.
 
     events : channels of exposures.
-    remarks : what stands at the beginning of the file, in sentences.
-    roles : keys under ``log.channels`` that are open.
+    remarks : sentences for the beginning of the file.
+    roles : keys under ``log.channels`` with values that are left open.
     compartment : names of barometers in a closed compartment, which may be a pressurised cabin.
     takeoff : the height of the take-off, in words.
     gimbals : names of channels with attitudes of gimbals.
@@ -53,18 +53,18 @@ class LogFacts:
 
 
 def facts_of_log(path: Path) -> LogFacts:
-    """Read a log and decide what can be decided; refuses as `open_log`."""
+    """Read a log, and decide the values of its mission file; refuses as `open_log`."""
     log = open_log(path)
     roles, notes = assign_roles(log.channels, {}, needs_cabin=False)
     plausible, questions = plausible_roles(roles)
-    indoors = []
+    enclosed = []
     open_roles: dict[str, None] = {}  # each once, in their order
     for note in notes:
         if note.code == "BARO-NOT-OUTSIDE":
-            indoors.append(note.where)
+            enclosed.append(note.where)
         elif note.code in OPEN_ROLES:
             open_roles[note.where.removeprefix("log.channels.")] = None
-    compartment = cabin_barometers_of(indoors, highest_of(plausible))
+    compartment = cabin_barometers_of(enclosed, highest_of(plausible))
     for role in open_roles:
         questions += questions_of_role(role, log.channels, compartment)
 
@@ -72,8 +72,9 @@ def facts_of_log(path: Path) -> LogFacts:
     remarks = [time_remark(log), place_remark(plausible), heights_remark(plausible, takeoff)]
     decided = [f"{role} {roles[role].name}" for role in roles if role not in open_roles]
     remarks.append(f"detected automatically: {', '.join(decided)}")
-    remarks.append(indoors_remark(indoors, compartment))
-    events = best_of([channel for channel in log.channels if channel.fits_role("events")])
+    remarks.append(enclosed_remark(enclosed, compartment))
+    event_channels = [channel for channel in log.channels if channel.fits_role("events")]
+    events = channels_of_lowest_rank(event_channels)
     return LogFacts(
         events=events,
         remarks=tuple(filter(None, remarks)),
@@ -85,29 +86,29 @@ def facts_of_log(path: Path) -> LogFacts:
     )
 
 
-def cabin_barometers_of(indoors: Sequence[str], highest_m: float) -> str:
+def cabin_barometers_of(enclosed: Sequence[str], highest_m: float) -> str:
     """The names of barometers that may be in a pressurised cabin; "" for none.
 
-    ``indoors`` are those that do not follow the height, ``highest_m`` is that of the flight. A
-    flight of unknown height (NaN) may be high.
+    ``enclosed`` are the barometers that do not follow the height, ``highest_m`` is the greatest
+    height of the flight. A flight of unknown height (NaN) counts as high.
     """
     if highest_m < LOWEST_PRESSURISED_M:
         return ""
-    return ", ".join(indoors)
+    return ", ".join(enclosed)
 
 
-def indoors_remark(indoors: Sequence[str], cabin_barometers: str) -> str:
+def enclosed_remark(enclosed: Sequence[str], cabin_barometers: str) -> str:
     """Remark on barometers that do not follow the height; "" if there are none.
 
     ``cabin_barometers`` names them if the flight is so high that they may be in a pressurised
     cabin, else it is "".
     """
-    if not indoors:
+    if not enclosed:
         return ""
     if cabin_barometers:
         return f"{cabin_barometers} is in a closed compartment: it does not follow the height"
     return (
-        f"{', '.join(indoors)} is not used: it does not follow the height. The flight is below "
+        f"{', '.join(enclosed)} is not used: it does not follow the height. The flight is below "
         f"{LOWEST_PRESSURISED_M:.0f} m, where a second barometer is usually a spare of the "
         "autopilot, so no window is proposed; if the camera looks through the window of a "
         "pressurised cabin, write window: {cabin: log} under cameras.<name>"
@@ -120,16 +121,19 @@ def highest_of(roles: Mapping[str, Channel]) -> float:
     if height is None or height.height_column is None:
         return math.nan
     heights_m = height[height.height_column]
-    known_m = heights_m[np.isfinite(heights_m)]
-    if known_m.size == 0:
+    finite_m = heights_m[np.isfinite(heights_m)]
+    if finite_m.size == 0:
         return math.nan
-    return float(np.max(known_m))
+    return float(np.max(finite_m))
 
 
 def plausible_roles(
     roles: Mapping[str, Channel],
 ) -> tuple[dict[str, Channel], list[Proposed]]:
-    """The plausible samples of each role, and a question for each role in a wrong unit."""
+    """The channel of each role without implausible samples, and questions.
+
+    A channel with values in a wrong unit is left out, with a question for its role.
+    """
     plausible = {}
     questions = []
     for role, channel in roles.items():
@@ -141,7 +145,7 @@ def plausible_roles(
 
 
 def time_remark(log: Log) -> str:
-    """When a log begins and ends, and what its times count from."""
+    """Remark on the begin, end and duration of a log, and what its times count from."""
     minutes = f"{log.duration_s / 60.0:.1f} minutes; {log.time_base}"
     if not log.has_utc:
         return f"{minutes}: state the day of the flight, mission.date"
@@ -151,22 +155,27 @@ def time_remark(log: Log) -> str:
 
 
 def place_remark(roles: Mapping[str, Channel]) -> str:
-    """The median place of a flight; empty without positions."""
+    """Remark on the median place of a flight; "" without positions."""
     position = roles.get("position")
     if position is None or len(position) == 0:
         return ""
     longitude_rad = position["lon_rad"]
-    known_rad = longitude_rad[np.isfinite(longitude_rad)]
-    if known_rad.size == 0:
+    finite_rad = longitude_rad[np.isfinite(longitude_rad)]
+    if finite_rad.size == 0:
         return ""
-    median_rad = np.median(longitudes_near(known_rad, known_rad[0]), keepdims=True)
+    # Continuous across 180 degrees, where a median of wrapped longitudes would be wrong.
+    continuous_rad = longitudes_near(finite_rad, finite_rad[0])
+    median_rad = np.median(continuous_rad, keepdims=True)
     latitude_deg = np.degrees(np.nanmedian(position["lat_rad"]))
     longitude_deg = np.degrees(wrapped(median_rad))[0]
     return f"place: latitude {latitude_deg:.4f}, longitude {longitude_deg:.4f}"
 
 
 def heights_remark(roles: Mapping[str, Channel], takeoff: str) -> str:
-    """The heights of a flight, and of its take-off; empty without heights."""
+    """Remark on the heights of a flight and of its take-off; "" without heights.
+
+    ``takeoff`` is the remark on the take-off.
+    """
     height = roles.get("height")
     if height is None or height.height_column is None:
         return ""
@@ -178,7 +187,7 @@ def heights_remark(roles: Mapping[str, Channel], takeoff: str) -> str:
 
 
 def takeoff_remark(roles: Mapping[str, Channel], evidence: GroundEvidence) -> str:
-    """The height of the take-off; empty where the log does not show it."""
+    """Remark on the height of the take-off; "" if the log does not show it."""
     height = roles.get("height")
     position = roles.get("position")
     if height is None or height.height_column is None:
@@ -194,7 +203,7 @@ def takeoff_remark(roles: Mapping[str, Channel], evidence: GroundEvidence) -> st
 
 
 def surface_of_heights(height: Channel) -> str:
-    """What the heights of a channel count from, in words."""
+    """The surface that the heights of a channel count from, in words."""
     return "the sea" if height.height_column == "h_msl_m" else "the ellipsoid"
 
 
@@ -205,7 +214,7 @@ def gimbal_channels(log: Log) -> list[str]:
 
 def late_events(log: Log, events: tuple[Channel, ...]) -> list[str]:
     """Names of channels of events that have the times of the triggers, each once."""
-    late: dict[str, None] = {}  # the names in their order
+    late: dict[str, None] = {}  # the names in their order, each once
     for channel in events:
         for note in trigger_notes(log.channels, channel, log.parameters):
             if note.code == LATE_TRIGGER:
@@ -216,8 +225,8 @@ def late_events(log: Log, events: tuple[Channel, ...]) -> list[str]:
     return list(late)
 
 
-def best_of(channels: list[Channel]) -> tuple[Channel, ...]:
-    """The channels of the lowest rank."""
+def channels_of_lowest_rank(channels: list[Channel]) -> tuple[Channel, ...]:
+    """All channels that have the lowest, that is the best, rank among ``channels``."""
     lowest = min((channel.rank for channel in channels), default=0)
     return tuple(channel for channel in channels if channel.rank == lowest)
 
@@ -225,12 +234,11 @@ def best_of(channels: list[Channel]) -> tuple[Channel, ...]:
 def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str) -> list[Proposed]:
     """The questions about a role that several channels could play, or no channel.
 
-    Beside a barometer in a ``compartment`` a sensor may be that of the cabin: a second question.
+    If there are barometers in a ``compartment`` (their names, "" for none), a candidate may be the
+    sensor of the cabin, which is a second question.
     """
-    able_channels = [
-        channel for channel in channels if role in channel.roles and channel.fits_role(role)
-    ]
-    candidates = best_of(able_channels)
+    fitting = [channel for channel in channels if role in channel.roles and channel.fits_role(role)]
+    candidates = channels_of_lowest_rank(fitting)
     if not candidates:
         remark = f"no channel of the log has the {role}; null if stations.trajectory gives it"
         return [Proposed(role, TODO, remark)]
@@ -244,14 +252,14 @@ def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str
 
 
 def range_text(channel: Channel, role: str) -> str:
-    """The range of a sensor's finite readings in a usual unit, in brackets.
+    """The range of a sensor's finite readings in a usual unit, as " (10 to 25 °C)".
 
-    Empty for a channel without finite readings, or whose column has no usual unit.
+    "" for a channel without finite readings, or whose column has no usual unit.
     """
     column = ROLE_COLUMNS[role][0]
-    unit, factor, zero = words_of_proposals()["units"].get(column, ("", 1.0, 0.0))
+    unit, unit_size, zero = words_of_proposals()["units"].get(column, ("", 1.0, 0.0))
     readings = channel[column]
-    in_unit = readings[np.isfinite(readings)] / factor - zero
+    in_unit = readings[np.isfinite(readings)] / unit_size - zero
     if not unit or not in_unit.size:
         return ""
     return f" ({in_unit.min():.0f} to {in_unit.max():.0f} {unit})"

@@ -25,11 +25,12 @@ LONGEST_NAME = 100  # characters of a mission's name
 
 
 def propose_mission(log: Path, observations: Path | None, images: Path | None, out: Path) -> str:
-    """The text of a mission file, to be written to ``out``, from whose folder paths count.
+    """The text of a mission file that will be written to ``out``; it is not written here.
 
-    ``log`` may be a block with orientations: without ``observations`` the block has these, too, and
-    no log is read. ``images`` is a folder of images, or exiftool's table of them. Refuses
-    (IMAGES-OTHER) images of which none is in the observations.
+    Paths in it are relative to the folder of ``out``. ``log`` may be a block with orientations:
+    without ``observations`` the block also has these, and no log is read. ``images`` is a folder of
+    images, or exiftool's table of them. Refuses (IMAGES-OTHER) images if none of them is in the
+    observations.
     """
     log = folder_of_project(log)
     observations = None if observations is None else folder_of_project(observations)
@@ -57,7 +58,7 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
         results=yaml_text(f"results/{name}"),
         file=out.name,
         log=path_text(log, out),
-        found=log_facts,
+        log_facts=log_facts,
         observations=path_text(observations, out),
         table=table,
         images=None if images is None else path_text(images, out),
@@ -68,12 +69,15 @@ def propose_mission(log: Path, observations: Path | None, images: Path | None, o
 
 
 def folder_of_project(path: Path) -> Path:
-    """The folder of a project of OpenSfM in the place of its file; other paths as they are."""
+    """The folder of an OpenSfM project, if ``path`` is its file; any other path unchanged."""
     return path.parent if path.name == OPENSFM_FILE else path
 
 
 def refuse_other_images(images: Path, times: ImageTimes, observed: tuple[str, ...]) -> None:
-    """Refuse (IMAGES-OTHER) files of images of which none is observed."""
+    """Refuse (IMAGES-OTHER) ``images`` if none of their files is among the ``observed`` images.
+
+    ``observed`` are the names of images in the observations; () accepts any files.
+    """
     if observed and not times.rows_of(observed):
         raise messages.other_images(
             where=images, absent=str(observed[0]), present=str(times.file[0])
@@ -81,13 +85,13 @@ def refuse_other_images(images: Path, times: ImageTimes, observed: tuple[str, ..
 
 
 def mission_name(log: Path) -> str:
-    """A name for the mission of a log: that of the file, in the letters that names may have."""
+    """The name of the log's file, with characters that a mission's name may not have replaced."""
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", log.stem).strip("-._")
     return name[:LONGEST_NAME] or "mission"
 
 
 def path_text(path: Path | None, out: Path) -> str:
-    """A path as the mission file at ``out`` writes it: relative to its folder; TODO for None."""
+    """A path as YAML, relative to the folder of the mission file ``out``; TODO for None."""
     if path is None:
         return TODO
     try:
@@ -97,7 +101,7 @@ def path_text(path: Path | None, out: Path) -> str:
 
 
 def mission_template() -> Template:
-    """The template of proposed mission files."""
+    """The Jinja template of proposed mission files, with the filter ``remark``."""
     environment = Environment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
@@ -107,7 +111,7 @@ def mission_template() -> Template:
 
 
 def as_remark(text: str) -> str:
-    """A text as a remark at the end of a line; "" without a text.
+    """A text as a YAML comment at the end of a line; "" for an empty text.
 
     Line breaks and other characters that do not print are replaced.
     """

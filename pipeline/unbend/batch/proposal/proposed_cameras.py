@@ -9,17 +9,17 @@ from unbend.config.yaml_text import TODO
 from unbend.flight.channels import Channel
 from unbend.flight.image_names import NameSeries, name_series
 
-MOST_CAMERAS = 12  # more series of names than this do not tell cameras apart
+MOST_CAMERAS = 12  # more series of names than this are not those of different cameras
 
 EventNumbers = Mapping[str, list[int]]
-"""The log's own number of each event, by channel."""
+"""The log's own numbers of the events of each channel, by its name."""
 
 
 @dataclass(frozen=True)
 class ProposedCamera:
-    """A camera with the keys of its exposures; ``block`` is what a block calls it, "" without one.
+    """A camera with the keys of its exposures, which are None if the log has no exposures.
 
-    ``channel`` and ``image`` are None where the log has no exposures.
+    ``block`` is the camera's name in a block; "" without a block.
     """
 
     name: str
@@ -30,7 +30,7 @@ class ProposedCamera:
 
 @dataclass(frozen=True)
 class Numbering:
-    """How the numbers in the names of images follow the events of channels.
+    """How the numbers in the names of images are related to the events of channels.
 
     ``field`` is the field of a name pattern: ``index`` for the log's own numbers, ``n`` for
     numbers counted from 1, ``*`` for neither. ``channels`` are those whose events have the numbers
@@ -40,19 +40,22 @@ class Numbering:
     field: str
     channels: tuple[str, ...] = ()
 
-    def of_events(self, log_numbers: list[int]) -> Collection[int]:
-        """The numbers that the names of a channel's images have, by its own numbers in the log."""
+    def image_numbers(self, log_numbers: list[int]) -> Collection[int]:
+        """The numbers in the names of the images of a channel's events.
+
+        ``log_numbers`` are the log's own numbers of these events.
+        """
         return range(1, len(log_numbers) + 1) if self.field == "n" else log_numbers
 
 
 def proposed_cameras(
     channels: Sequence[Channel], images: tuple[str, ...], block_cameras: tuple[str, ...] = ()
 ) -> list[ProposedCamera]:
-    """The cameras of a mission, each with the channel whose events are numbered as its images.
+    """The cameras of a mission, each with the channel of its events.
 
-    There is one camera for each series of image names; without series one for each of
-    ``block_cameras``, the cameras of a block; without these one for each of ``channels``, those of
-    exposures in the log; else one.
+    ``images`` are names of images. There is one camera for each series of image names; without
+    series one for each of ``block_cameras``, the cameras of a block; without these one for each of
+    ``channels``, those of exposures in the log; else one.
     """
     all_series = series_of_cameras(images, block_cameras, len(channels))
     count = len(all_series) or len(block_cameras) or len(channels) or 1
@@ -78,10 +81,10 @@ def proposed_cameras(
 def series_of_cameras(
     images: tuple[str, ...], block_cameras: tuple[str, ...], channel_count: int
 ) -> list[NameSeries]:
-    """A series of image names for each camera; empty if a block has another number of cameras."""
+    """A series of image names for each camera; [] if a block has another number of cameras."""
     all_series = name_series(images)
     if len(all_series) > max(MOST_CAMERAS, channel_count):
-        # The names do not tell cameras apart: all images are taken for those of one camera.
+        # The series are not those of cameras: all images are assigned to one camera.
         all_series = [NameSeries("", 0, "", (0,), has_number=False)]
     if block_cameras and len(block_cameras) != len(all_series):
         return []
@@ -89,7 +92,7 @@ def series_of_cameras(
 
 
 def names_of_cameras(words: list[str]) -> list[str]:
-    """A name for each camera: its word, or ``camera`` with its number; each name once.
+    """A different name for each camera: its word, or ``camera`` with its number for "".
 
     >>> names_of_cameras([""]), names_of_cameras(["nadir", "", "nadir"])
     (['camera'], ['nadir', 'camera_2', 'nadir_3'])
@@ -102,11 +105,11 @@ def names_of_cameras(words: list[str]) -> list[str]:
 
 
 def numbering_of(series: NameSeries, event_numbers: EventNumbers) -> Numbering:
-    """How a series of names follows the events of a log.
+    """How the numbers of a series of names are related to the events of a log.
 
-    Tried one after the other, until one holds for a channel: all images have the log's own numbers,
-    from its first to its last; they have the numbers of the events counted from 1, up to the last;
-    all but a few have the log's own numbers.
+    The first relation is returned that is true for a channel: (1) the images have the log's own
+    numbers, from the first to the last; (2) they have the numbers of the events counted from 1, up
+    to the last; (3) all images except a few have the log's own numbers.
     """
     by_index = [name for name, numbers in event_numbers.items() if series.counts_as(numbers)]
     if by_index:
@@ -116,7 +119,7 @@ def numbering_of(series: NameSeries, event_numbers: EventNumbers) -> Numbering:
     for name, numbers in event_numbers.items():
         if series.counts_as(range(1, len(numbers) + 1)):
             counted.append(name)
-        if series.strays(numbers):  # the few names that do not fit; none if many do not
+        if series.strays(numbers):  # the few numbers that do not fit; empty if many do not
             nearly.append(name)
     if counted:
         return Numbering("n", tuple(counted))
@@ -128,8 +131,8 @@ def numbering_of(series: NameSeries, event_numbers: EventNumbers) -> Numbering:
 def channel_of_camera(number: int, count: int, event_numbers: EventNumbers) -> Proposed:
     """The channel of a camera whose images have no known names.
 
-    Where there are as many channels as cameras (``count``), it is guessed by their order; otherwise
-    the value is left open.
+    ``number`` is the index of the camera, from 0. If there are as many channels as cameras
+    (``count``), the channel is guessed by their order; otherwise the value is left open.
     """
     channels = list(event_numbers)
     if count != len(channels):
@@ -146,10 +149,11 @@ def channel_of_camera(number: int, count: int, event_numbers: EventNumbers) -> P
 def channel_of_series(
     number: int, all_series: list[NameSeries], event_numbers: EventNumbers
 ) -> Proposed:
-    """The channel that fires the camera of a series of names; left open where several may.
+    """The channel that triggers the camera of a series of names; left open if it is not certain.
 
-    A channel is certain if it alone fits the series, and the names of no other camera fit it. The
-    only channel of a log with the only series is certain even if it does not fit.
+    ``number`` is the index of the series in ``all_series``, from 0. A channel is certain if it
+    alone fits the series, and the names of no other camera fit it. The only channel of a log with
+    the only series is certain even if it does not fit.
     """
     channels = list(event_numbers)
     numbering = numbering_of(all_series[number], event_numbers)
@@ -157,9 +161,9 @@ def channel_of_series(
     other_series = all_series[:number] + all_series[number + 1 :]
     has_rivals = False
     for channel in fits:
-        numbers = numbering.of_events(event_numbers[channel])
+        image_numbers = numbering.image_numbers(event_numbers[channel])
         for series in other_series:
-            if series.counts_as(numbers) or series.strays(numbers):
+            if series.counts_as(image_numbers) or series.strays(image_numbers):
                 has_rivals = True
     if len(fits) == 1 and not has_rivals:
         return Proposed("channel", yaml_text(fits[0]))
@@ -169,7 +173,7 @@ def channel_of_series(
 
 
 def open_channel(channels: Sequence[str], event_numbers: EventNumbers) -> Proposed:
-    """The key of a channel with its value left open; the remark lists ``channels``."""
+    """The key ``channel`` with its value left open; its remark lists ``channels``."""
     choices = [f"{channel} ({len(event_numbers[channel])} events)" for channel in channels]
     return Proposed("channel", TODO, f"{' or '.join(choices)}: which of them triggers this camera")
 
@@ -179,15 +183,15 @@ def image_of_series(series: NameSeries, event_numbers: EventNumbers) -> Proposed
     numbering = numbering_of(series, event_numbers)
     if numbering.channels:
         strays = series.strays(event_numbers[numbering.channels[0]])
-        alike = [number for number in series.numbers if number not in strays]
-        count = f"{len(alike)} images count as the log does"
-        remark = f"guessed: {count}, {alike[0]} to {alike[-1]}"
+        fitting = [number for number in series.numbers if number not in strays]
+        count = f"{len(fitting)} images count as the log does"
+        remark = f"guessed: {count}, {fitting[0]} to {fitting[-1]}"
         if strays:
             remark += f"; not {series.listed(strays)}"
     else:
         remark = f"numbers and tie points assign {len(series.numbers)} images"
-        logged = set().union(*event_numbers.values())
-        if series.has_number and not logged.isdisjoint(series.numbers):
+        log_numbers = set().union(*event_numbers.values())
+        if series.has_number and not log_numbers.isdisjoint(series.numbers):
             remark += f"; or {series.pattern('index')}, if these are the log's numbers"
     pattern = json.dumps(series.pattern(numbering.field), ensure_ascii=False)
     return Proposed("image", pattern, remark)

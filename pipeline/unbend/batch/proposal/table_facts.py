@@ -1,4 +1,4 @@
-"""What a table of observations, or the block of another program, decides of a mission file."""
+"""Values of a mission file that a table of observations, or a block, decides."""
 
 import re
 from collections.abc import Mapping
@@ -19,20 +19,20 @@ from unbend.tables.imports.blocks import block_reader, damage_refused
 from unbend.tables.observations import Batch, Observations, open_observations
 from unbend.units import Array
 
-OPENSFM_FILE = "reconstruction.json"  # stands for the folder of its project
+OPENSFM_FILE = "reconstruction.json"  # in the folder of an OpenSfM project
 
 BATCH_ROWS = 250_000
-MOST_BATCHES = 4  # a million rows show how large the images are
-MOST_BYTES_OF_HEAD = 4000  # of an XML file, in which it says which program wrote it
+MOST_BATCHES = 4  # a million rows are enough to show the size of the images
+MOST_BYTES_OF_HEAD = 4000  # of an XML file, which contain the name of the program
 
 NAME_OF_HEIGHT = re.compile(
     r"^(h|z|ground|terrain)(_.*)?$|height|elev|^alt|ellips|msl|^h(oe|ö)he",
     re.IGNORECASE,
 )
-"""Columns whose names say that they may hold heights."""
+"""Names of columns that may contain heights."""
 
 FILES_OF_BLOCKS = {"cameras.bin": "colmap", "cameras.txt": "colmap", OPENSFM_FILE: "opensfm"}
-"""The program that writes a file of this name into the folder of a block."""
+"""The program of a block, by the name of a file in the block's folder."""
 
 PIX4D_CAMERAS = "calibrated_camera_parameters.txt"  # end of the name of Pix4D's file of cameras
 
@@ -40,12 +40,12 @@ WORDS_OF_XML = {b"dbat": "dbat", b"<blocksexchange": "blocksexchange"}
 """The program that writes an XML file with this word near its beginning, in lower case."""
 
 ENDINGS_OF_BLOCKS = {".psz": "metashape", ".db": "colmap"}
-"""The program that writes a block as one file with this ending."""
+"""The program of a block that is one file, by the ending of the file."""
 
 OPEN_HEIGHT = Proposed(
     "height", TODO, "metres; {column: NAME} of the observations; {dem: dem.tif}; intersected"
 )
-"""The question for ground heights, where the table has no column of that kind."""
+"""The question for ground heights, for a table without a column of heights."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class TableFacts:
 
     format : the program of a block; empty for a table.
     images : the images of the observations.
-    remark : how many rows there are.
-    columns : keys under ``observations.columns`` whose values are guessed or left open.
-    size : how far the observations reach, in words.
-    height, reference : the keys of these names under ``ground``; ``heights`` is a remark on both.
-    cameras : what a block calls its cameras.
+    remark : the number of rows, in words.
+    columns : keys under ``observations.columns`` with values that are guessed or left open.
+    size : the largest pixel coordinates of the observations, in words.
+    height, reference : values of these keys under ``ground``; ``heights`` is a remark on both.
+    cameras : the names of the cameras in a block.
     """
 
     format: str = ""
@@ -73,9 +73,9 @@ class TableFacts:
 
 
 def block_format(path: Path) -> str:
-    """The program that wrote the block in a file or folder; empty for a file that is no block.
+    """The program that wrote the block in a file or folder; "" for a file that is not a block.
 
-    Refuses a folder that has no file of a block.
+    Refuses a folder without a file of a block.
     """
     if path.is_dir():
         for name, program in FILES_OF_BLOCKS.items():
@@ -116,23 +116,24 @@ def facts_of_block(path: Path, program: str) -> TableFacts:
 
 
 def facts_of_table(path: Path) -> TableFacts:
-    """Read a table of observations, its columns by their names."""
+    """Read a table of observations, with its columns recognised by their names."""
     names = column_names(path)
     guessed = guessed_columns(names)
     keys = proposed_columns(guessed, names)
-    unknown = [key.key for key in keys if key.value == TODO]
+    open_quantities = [key.key for key in keys if key.value == TODO]
     unused = [name for name in names if name not in guessed.values()]
-    if unknown == ["point"] and unused:  # any column will do to read images, pixels and heights
+    # The points are not used here, so any column can be read as theirs.
+    if open_quantities == ["point"] and unused:
         guessed["point"] = unused[0]
-    elif unknown:
+    elif open_quantities:
         remark = (
-            f"its images are not known yet: {', '.join(unknown)}: no column has a usual name; "
-            "rename them in the header of the table, and run init again"
+            f"its images are not known yet: {', '.join(open_quantities)}: no column has a usual "
+            "name; rename them in the header of the table, and run init again"
         )
         return TableFacts(remark=remark, columns=keys)
     columns: dict[str, str | None] = {}
     for quantity, name in guessed.items():
-        # No name is guessed if the columns cannot be listed; `open_observations` says why.
+        # If the columns cannot be listed, none is guessed: `open_observations` refuses the file.
         columns[quantity] = name or quantity
     return facts_of_columns(path, columns, keys, height_candidates(names, columns))
 
@@ -143,9 +144,10 @@ def facts_of_columns(
     keys: tuple[Proposed, ...],
     candidates: list[str],
 ) -> TableFacts:
-    """Read a table whose ``columns`` are known; ``candidates`` may have the heights of the points.
+    """Read a table by its ``columns``: the name of the column of each quantity.
 
-    ``keys`` are those of the columns in the mission file.
+    ``keys`` are those of the columns in the mission file. ``candidates`` are columns that may
+    contain the heights of the points; a single one is read.
     """
     height = candidates[0] if len(candidates) == 1 else None
     observations = open_observations(path, columns, height, Ledger())
@@ -166,18 +168,18 @@ def facts_of_columns(
 
 
 def column_names(path: Path) -> list[str]:
-    """The columns of a CSV or Parquet file; empty for other files, and for one that is damaged."""
+    """The columns of a CSV or Parquet file; [] for other files, and for a damaged file."""
     if path.is_file() and path.suffix.lower() in (".csv", ".txt"):
         return csv_names(path)
     try:
         return list(pq.read_schema(path).names)
-    except (OSError, ValueError):  # the reader of observations says what is wrong
+    except (OSError, ValueError):  # the reader of observations refuses the file
         return []
 
 
 def guessed_columns(names: list[str]) -> dict[str, str | None]:
-    """The column of each quantity: the one of its name, or of another usual name; or None."""
-    # Of names that differ by case, blanks and hyphens alone the first one counts.
+    """The column of each quantity by its name or another usual name; None if there is none."""
+    # Reversed: among names that differ only by case, blanks and hyphens the first one counts.
     name_of_lower = {re.sub("[ -]+", "_", name.lower()): name for name in reversed(names)}
     columns: dict[str, str | None] = {}
     for quantity, usual_names in words_of_proposals()["columns"].items():
@@ -189,7 +191,10 @@ def guessed_columns(names: list[str]) -> dict[str, str | None]:
 
 
 def proposed_columns(columns: Mapping[str, str | None], names: list[str]) -> tuple[Proposed, ...]:
-    """Keys of the columns whose names are guessed or left open; none if no columns are listed."""
+    """Keys of the columns that are guessed or left open; () if ``names`` is empty.
+
+    ``columns`` has the column of each quantity, None if unknown. ``names`` are all columns.
+    """
     proposed = []
     for quantity, name in columns.items():
         if not names or name == quantity:
@@ -202,14 +207,17 @@ def proposed_columns(columns: Mapping[str, str | None], names: list[str]) -> tup
 
 
 def height_candidates(names: list[str], columns: Mapping[str, str | None]) -> list[str]:
-    """The columns that may hold the heights of the points: ``h_g_m`` alone, or all such names."""
+    """The unused columns that may contain the heights of the points.
+
+    A column ``h_g_m`` is the only candidate. ``columns`` are those of the other quantities.
+    """
     used = set(columns.values())
     candidates = [name for name in names if NAME_OF_HEIGHT.search(name) and name not in used]
     return ["h_g_m"] if "h_g_m" in candidates else candidates
 
 
 def proposed_height(candidates: list[str]) -> Proposed:
-    """The key ``ground.height`` by the columns that may hold it."""
+    """The key ``ground.height``, from the columns that may contain the heights."""
     if not candidates:
         return OPEN_HEIGHT
     if len(candidates) > 1:
@@ -220,7 +228,7 @@ def proposed_height(candidates: list[str]) -> Proposed:
 
 
 def guessed_reference(column: str) -> str:
-    """What heights count from by the name of their column; TODO where it does not say one thing."""
+    """The reference of heights by the name of their column; TODO if the name leaves it open."""
     references = set()
     for part, reference in words_of_proposals()["datums"].items():
         if part in column.lower():
@@ -229,39 +237,40 @@ def guessed_reference(column: str) -> str:
 
 
 class Extent(NamedTuple):
-    """How far observations reach, in words: their pixels, and the heights of their points."""
+    """The ranges of pixel coordinates, and of the heights of the points, in words."""
 
     pixels: str
     heights: str
 
 
 def extent_of(observations: Observations) -> Extent:
-    """How far the first million observations reach."""
+    """The ranges of the first million observations."""
     batches = list(islice(observations.batches(BATCH_ROWS), MOST_BATCHES))
-    x = reach_text([batch.x_given_px for batch in batches])
-    y = reach_text([batch.y_given_px for batch in batches])
+    x = reach_of([batch.x_given_px for batch in batches])
+    y = reach_of([batch.y_given_px for batch in batches])
     pixels = (
-        f"99 % of the observations are within {x.most} x {y.most} px, all within {x.largest} x "
-        f"{y.largest}"
+        f"99 % of the observations are within {x.most_rows} x {y.most_rows} px, all within "
+        f"{x.all_rows} x {y.all_rows}"
     )
     return Extent(pixels, heights_text(batches))
 
 
 class Reach(NamedTuple):
-    """Pixels that 99 % of the observations, and all of them, do not exceed."""
+    """The pixel coordinate that 99 % of the rows do not exceed, and the largest one, as texts."""
 
-    most: str
-    largest: str
+    most_rows: str
+    all_rows: str
 
 
-def reach_text(pixels: list[Array]) -> Reach:
-    """How far the pixels of some batches reach, from 0 on; 0 without any."""
-    most, largest = np.nanpercentile(np.concatenate([np.zeros(1), *pixels]), [99, 100]).round()
-    return Reach(f"{most:.0f}", f"{largest:.0f}")
+def reach_of(pixels: list[Array]) -> Reach:
+    """How far pixel coordinates reach; ``pixels`` has those of some batches. 0 without any."""
+    with_zero = np.concatenate([np.zeros(1), *pixels])
+    most_rows, all_rows = np.nanpercentile(with_zero, [99, 100]).round()
+    return Reach(f"{most_rows:.0f}", f"{all_rows:.0f}")
 
 
 def heights_text(batches: list[Batch]) -> str:
-    """The lowest, highest and median height of the points of some batches; empty without any."""
+    """The lowest, highest and median height of the points of some batches; "" without any."""
     heights = [batch.ground for batch in batches if batch.ground is not None]
     ground = np.concatenate([np.empty(0), *heights])
     if not np.isfinite(ground).any():

@@ -1,4 +1,4 @@
-"""Keys of a proposed mission file with their values, and the words that proposals are made with."""
+"""Keys of a proposed mission file with their values, and tables of usual names for guesses."""
 
 import json
 import re
@@ -12,7 +12,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Proposed:
-    """A key of the mission file: its value as YAML, and a remark."""
+    """A key of the mission file with its value as YAML text, and a remark for its comment."""
 
     key: str
     value: str
@@ -21,7 +21,7 @@ class Proposed:
 
 @cache
 def words_of_proposals() -> Mapping[str, Any]:
-    """The tables of ``proposal.toml``: other names of columns, units of sensors, datums."""
+    """The tables of ``proposal.toml``: usual names of columns, units of sensors, datums."""
     text = resources.files(__package__).joinpath("proposal.toml").read_text("utf-8")
     return tomllib.loads(text)
 
