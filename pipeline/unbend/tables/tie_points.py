@@ -43,7 +43,7 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
     The same table gives the same points, whatever the order of its rows. Of more than 200,000 rows
     those of one point in k are kept, by the hash of its name; 20 million rows are read at most.
     """
-    batch = observations.of_points(_hash_filter(observations.rows), _MOST_ROWS)
+    batch = observations.rows_of_points(_hash_filter(observations.rows), _MOST_ROWS)
     table = _numbered_rows(batch, observations.images)
     has_point = batch.point.is_valid().to_numpy(zero_copy_only=False)
     has_image = table["image"] >= 0

@@ -263,7 +263,7 @@ def batches_with_points(observations: Observations) -> Iterable[Batch]:
     if observations.sample is None:
         return observations.batches(BATCH_ROWS)
     wanted = np.unique(hashes_of(observations.sampled(points=True).point))
-    return [observations.of_points(lambda hashes: rows_among(hashes, wanted))]
+    return [observations.rows_of_points(lambda hashes: rows_among(hashes, wanted))]
 
 
 def write_rays(
