@@ -22,7 +22,7 @@ from unbend.tables.measured_columns import measured_floats, valid_magnitudes
 from unbend.tables.name_hashes import hashes_of
 from unbend.tables.observation_files import OpenedTable, Records, csv_records, in_memory, open_file
 from unbend.tables.pixels import COLMAP, ImageFrame, PixelSystem
-from unbend.tables.refraction_mark import Direction, refuse_done
+from unbend.tables.refraction_mark import Direction, refuse_marked_table
 from unbend.tables.row_sample import RowSample
 from unbend.tables.text_columns import refuse_other_pixels, require_columns
 from unbend.tables.written_columns import DISPLACED_COLUMNS, OBSERVATION_COLUMNS
@@ -361,7 +361,7 @@ def open_observations(
         wanted.append(("ground height", ground_column, "ground.height.column"))
     if sigma_column:
         wanted.append(("sigma of the ground", sigma_column, "ground.sigma_column"))
-    refuse_done(path, schema, direction, is_file=table is None)
+    refuse_marked_table(path, schema, direction, is_file=table is None)
     refuse_other_pixels(path, schema, direction, named)
     require_columns(path, schema, wanted)
 
