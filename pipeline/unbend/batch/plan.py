@@ -189,7 +189,7 @@ def local_input(named: NamedInput, path: Path, known: InputRecord | None, *, ver
     files = files_of(path, named.program)
     states = tuple(state_of(file) for file in files)
     record = record_of(named, files, states)
-    if known is not None and record.is_like(known):
+    if known is not None and record.is_unchanged_since(known):
         record = known
     else:
         trusted_states = () if verify else states
@@ -227,7 +227,7 @@ def remote_input(
         version=in_storage.version,
     )
     is_of_camera = named.role.startswith("camera ")
-    if known is not None and record.is_like(known) and not is_of_camera:
+    if known is not None and record.is_unchanged_since(known) and not is_of_camera:
         record = known
     else:
         copy = remote.fetch(in_storage, anew=verify)
