@@ -193,7 +193,7 @@ def local_input(
     files = files_of(path, named.program)
     states = tuple(state_of(file) for file in files)
     record = record_of(named, files, states)
-    if earlier_record is not None and record.is_like(earlier_record):
+    if earlier_record is not None and record.is_unchanged_since(earlier_record):
         record = earlier_record
     else:
         states_of_known_hashes = () if verify else states
@@ -236,7 +236,11 @@ def remote_input(
         version=in_storage.version,
     )
     is_of_camera = named.role.startswith("camera ")
-    if earlier_record is not None and record.is_like(earlier_record) and not is_of_camera:
+    if (
+        earlier_record is not None
+        and record.is_unchanged_since(earlier_record)
+        and not is_of_camera
+    ):
         record = earlier_record
     else:
         copy = remote.fetch(in_storage, anew=verify)

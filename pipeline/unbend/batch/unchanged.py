@@ -155,4 +155,4 @@ def is_as_recorded(record: InputRecord, folder: Path) -> bool:
         return False
     files = files_of(path, program)
     now = record_of(named, files, tuple(state_of(file) for file in files))
-    return now.is_like(record)
+    return now.is_unchanged_since(record)

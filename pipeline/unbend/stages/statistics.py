@@ -280,7 +280,7 @@ class Statistics:
         for code in np.unique(corrections.status[corrections.status != OK]).tolist():
             rows = np.flatnonzero(corrections.status == code)
             if code == NO_STATION:
-                has_no_image = batch.without_image(rows)
+                has_no_image = batch.is_image_missing(rows)
                 self._add_rows_without_image(batch, rows[has_no_image])
                 rows = rows[~has_no_image]
             examples = []

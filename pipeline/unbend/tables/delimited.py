@@ -1,8 +1,8 @@
-"""CSV: a column has the type that fits each of its values, and nothing is altered.
+"""CSV: each column gets the type that fits all of its values, and no value is altered.
 
-A column is given a type only if each of its values can be had back from it. Digits that are no
-plain number, such as 007, +49 or 12345678901234567890, stay text. What parts the fields, and
-whether decimals have a comma, the file itself shows (`unbend.table_dialect`).
+A column gets a type only if its text can be restored from the typed values. Digits that are not
+plain numbers, such as 007, +49 or 12345678901234567890, stay text. The separator of the fields and
+the decimal mark are recognised from the file (`unbend.table_dialect`).
 """
 
 import codecs
@@ -19,8 +19,8 @@ import pyarrow.csv as pa_csv
 from unbend.table_dialect import BLANKS, TableForm, form_of
 from unbend.tables import messages
 
-_BLOCK_BYTES = 4 << 20
-_SHOWN_BYTES = 1 << 18  # of a file, by which its form is known
+_BLOCK_BYTES = 4 << 20  # that Arrow reads and converts at a time
+_HEAD_BYTES = 1 << 18  # at the start of a file, from which its form is recognised
 
 _WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of zip archives, as .xlsx and .ods are, and of old .xls files."""
@@ -29,21 +29,21 @@ _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # spreadsheets write it as
 
 
 @dataclass(frozen=True)
-class WrittenTable:
-    """A table in a text file: its encoding, and how its lines are written."""
+class TextTable:
+    """A table in a text file, its encoding, and its form: separator, header and decimal mark."""
 
     path: Path
     encoding: str
     form: TableForm
 
 
-def text_file(path: Path) -> WrittenTable:
-    """Recognise the encoding and the form of a table by its first quarter of a megabyte.
+def text_file(path: Path) -> TextTable:
+    """Recognise the encoding and the form of a table from its first quarter of a megabyte.
 
-    Raises ValueError for what is no text in UTF-8 or UTF-16, and as `form_of`.
+    Raises ValueError if the text is neither UTF-8 nor UTF-16, and where `form_of` does.
     """
     with path.open("rb") as file:
-        head = file.read(_SHOWN_BYTES)
+        head = file.read(_HEAD_BYTES)
         is_whole = not file.read(1)
     encoding = "utf-16" if head.startswith(_UTF_16) else "utf-8-sig"
     try:
@@ -60,27 +60,28 @@ def text_file(path: Path) -> WrittenTable:
         ) from None
     lines = text.splitlines()
     if not is_whole and len(lines) > 1:
-        del lines[-1]
-    return WrittenTable(path, encoding, form_of(lines))
+        del lines[-1]  # cut off by the limit of bytes
+    return TextTable(path, encoding, form_of(lines))
 
 
-class _PartedByTabs(io.RawIOBase):
-    """A file whose fields any number of blanks parts, read as though single tabs did."""
+class _TabSeparatedFile(io.RawIOBase):
+    """A file with fields separated by blanks, read with one tab in the place of the blanks."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")
-        self._ready = b""
+        self._unread = b""  # converted lines that no buffer has taken yet
 
     def readable(self) -> bool:
-        """It can be read."""
+        """Always True, as `io.RawIOBase` asks of a file that can be read."""
         return True
 
     def readinto(self, buffer: "memoryview[int]") -> int:  # type: ignore[override]
-        """Fill a buffer with whole lines, or parts of those that were read before."""
-        if not self._ready:
-            self._ready = parted_by_tabs(self._file.read(1 << 20) + self._file.readline())
-        part = self._ready[: len(buffer)]
-        self._ready = self._ready[len(part) :]
+        """Fill the buffer with the next converted bytes; returns their number, 0 at the end."""
+        if not self._unread:
+            whole_lines = self._file.read(1 << 20) + self._file.readline()
+            self._unread = separated_by_tabs(whole_lines)
+        part = self._unread[: len(buffer)]
+        self._unread = self._unread[len(part) :]
         buffer[: len(part)] = part
         return len(part)
 
@@ -90,32 +91,38 @@ class _PartedByTabs(io.RawIOBase):
         super().close()
 
 
-def parted_by_tabs(lines: bytes) -> bytes:
-    """Lines with a tab in place of the blanks between fields; those within quotes stay.
+def separated_by_tabs(lines: bytes) -> bytes:
+    """Replace the blanks between fields by one tab; blanks within quotes stay.
 
-    >>> parted_by_tabs(b'  IMG_1.JPG  1.5   2 \\n"a b" 3 4\\n')
+    Blanks at the ends of a line are removed.
+
+    >>> separated_by_tabs(b'  IMG_1.JPG  1.5   2 \\n"a b" 3 4\\n')
     b'IMG_1.JPG\\t1.5\\t2\\n"a b"\\t3\\t4\\n'
     """
     lines = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", lines)
     if b'"' not in lines:
         return re.sub(rb"[ \t]+", b"\t", lines)
-    return re.sub(rb'("[^"\n]*")|[ \t]+', lambda found: found[1] or b"\t", lines)
+    # Group 1 is a quoted field, which stays; without it the match is blanks.
+    return re.sub(rb'("[^"\n]*")|[ \t]+', lambda match: match[1] or b"\t", lines)
 
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """A type, and the form of the values that it holds without changing them."""
+    """A type, and the regular expression of the texts that it represents without loss.
+
+    ``is_checked_by_cast``: whether a text of this form can still be invalid, as 2025-02-31 is.
+    """
 
     type: pa.DataType
     pattern: str
-    parsed: bool = False
+    is_checked_by_cast: bool = False
 
-    def holds(self, values: pa.StringArray) -> bool:
-        """Whether all values that are not null have the form, and can be read."""
-        # Without a value, the least of booleans is null: then any type fits.
+    def fits(self, values: pa.StringArray) -> bool:
+        """Whether all values that are not null match the pattern and can be converted."""
+        # The minimum of booleans is False if one does not match, and None if all are null.
         if pc.min(pc.match_substring_regex(values, self.pattern)).as_py() is False:
             return False
-        if self.parsed:
+        if self.is_checked_by_cast:
             try:
                 values.cast(self.type)
             except pa.ArrowInvalid:  # the 31st of February
@@ -123,43 +130,49 @@ class _Kind:
         return True
 
 
-def _whole(*forms: str) -> str:
-    """One of the forms, and spaces around it as the reader of numbers takes them."""
+def _any_of(*forms: str) -> str:
+    """A regular expression of a whole field that has one of the forms, with blanks around it.
+
+    Arrow ignores these blanks when it reads numbers.
+    """
     return rf"^[ \t]*(?:{'|'.join(forms)})[ \t]*$"
 
 
 _WORDS = "nan|NaN|[-+]?inf"
 _POWER = "[eE][-+]?0?[0-9]{1,2}"
 _DAY = "[0-9]{4}-[0-9]{2}-[0-9]{2}"
-_SECOND = f"{_DAY}[ T][0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}"
-_ANY_NUMBER = _whole(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?", _WORDS)
+_SECOND = f"{_DAY}[ T][0-9]{{2}}:[0-9]{{2}}:[0-9]{{2}}"  # a date and a time to the second
+_ANY_NUMBER = _any_of(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?", _WORDS)
 
 _NUMBER = _Kind(pa.float64(), _ANY_NUMBER)
-_CODE = _Kind(pa.string(), _ANY_NUMBER)
+_CODE = _Kind(pa.string(), _ANY_NUMBER)  # digits that stay text, such as 007
 _TEXT = _Kind(pa.string(), "")
-_PLAIN_NUMBER = _whole(
+_PLAIN_NUMBER = _any_of(
     "-?(?:0|[1-9][0-9]{0,14})",
     rf"[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*|\.[0-9]+)(?:{_POWER})?",
     f"[-+]?(?:0|[1-9][0-9]*){_POWER}",
     _WORDS,
 )
-# In order of preference. The digits are as many as int64 and float64 hold exactly.
+# In order of preference. The patterns allow as many digits as int64 and float64 represent exactly.
 _KINDS = (
-    _Kind(pa.int64(), _whole("0", "-?[1-9][0-9]{0,17}", "-?[1-8][0-9]{18}")),
+    _Kind(pa.int64(), _any_of("0", "-?[1-9][0-9]{0,17}", "-?[1-8][0-9]{18}")),
     _Kind(pa.float64(), _PLAIN_NUMBER),
     _Kind(pa.bool_(), "^(?:true|True|TRUE|false|False|FALSE)$"),
-    _Kind(pa.date32(), f"^{_DAY}$", parsed=True),
-    _Kind(pa.timestamp("s"), f"^{_SECOND}$", parsed=True),
-    _Kind(pa.timestamp("s", "UTC"), f"^{_SECOND}Z$", parsed=True),
-    _Kind(pa.timestamp("ns"), rf"^{_SECOND}(?:\.[0-9]{{1,9}})?$", parsed=True),
-    _Kind(pa.timestamp("ns", "UTC"), rf"^{_SECOND}(?:\.[0-9]{{1,9}})?Z$", parsed=True),
+    _Kind(pa.date32(), f"^{_DAY}$", is_checked_by_cast=True),
+    _Kind(pa.timestamp("s"), f"^{_SECOND}$", is_checked_by_cast=True),
+    _Kind(pa.timestamp("s", "UTC"), f"^{_SECOND}Z$", is_checked_by_cast=True),
+    _Kind(pa.timestamp("ns"), rf"^{_SECOND}(?:\.[0-9]{{1,9}})?$", is_checked_by_cast=True),
+    _Kind(pa.timestamp("ns", "UTC"), rf"^{_SECOND}(?:\.[0-9]{{1,9}})?Z$", is_checked_by_cast=True),
     _CODE,
 )
 
 
 @dataclass(frozen=True, eq=False)
 class CsvScan:
-    """What a CSV holds: its rows, its images, a type for each column, which digits are codes."""
+    """The contents of a CSV: the number of rows, the names of images and the types of columns.
+
+    ``codes`` are the columns of digits that stay text.
+    """
 
     rows: int
     images: set[str]
@@ -184,17 +197,18 @@ def scan_csv(
     numbers: Collection[str],
     add_names: Callable[[pa.StringArray], None] | None = None,
 ) -> CsvScan:
-    """Read a CSV once from end to end, to know the type of each of its columns.
+    """Read all rows of a CSV to find the type of each of its columns.
 
-    ``texts`` are the columns of images and points, text even where all are digits, ``numbers``
-    float64 unless a value is no number. ``add_names`` is called with the images of the next rows.
+    ``names`` are all columns. ``texts`` are the columns of images and of points: text, even if all
+    values are digits. ``numbers`` become float64, or text if a value is not a number. ``add_names``
+    is called with the images (n,) of each block of rows, in their order.
     """
-    kinds: dict[str, tuple[_Kind, ...]] = dict.fromkeys(names, _KINDS)
+    kinds: dict[str, tuple[_Kind, ...]] = dict.fromkeys(names, _KINDS)  # that still fit a column
     for name in texts:
         kinds[name] = ()
     for name in numbers:
         kinds[name] = (_NUMBER,)
-    filled = set(numbers)
+    filled = set(numbers)  # columns with a value; an empty column of numbers is float64 too
     rows = 0
     images = set()
     try:
@@ -207,7 +221,7 @@ def scan_csv(
                     add_names(batch.column(texts[0]))
                 for name in names:
                     values = batch.column(name)
-                    kinds[name] = _kinds_that_hold(
+                    kinds[name] = _kinds_that_fit(
                         kinds[name],
                         values,
                         decimal_comma=decimal_comma,
@@ -226,24 +240,34 @@ def scan_csv(
 
 
 def _chosen_kind(kinds: tuple[_Kind, ...], *, is_filled: bool) -> _Kind:
-    """The first of the kinds that hold a column; text where none does, and without a value."""
-    return kinds[0] if is_filled and kinds else _TEXT
+    """The first of the kinds that fit a column; text if none fits or the column has no value."""
+    if not kinds or not is_filled:
+        return _TEXT
+    return kinds[0]
 
 
-def _kinds_that_hold(
+def _kinds_that_fit(
     kinds: tuple[_Kind, ...], values: pa.StringArray, *, decimal_comma: bool
 ) -> tuple[_Kind, ...]:
-    """Those of some kinds that hold values, whose numbers may have a decimal comma."""
-    numbers = with_points(values) if decimal_comma else values
-    holding = []
+    """The kinds that fit all values (n,), in their order.
+
+    ``decimal_comma``: whether 1,5 is one and a half in this file.
+    """
+    numbers = points_for_commas(values) if decimal_comma else values
+    fitting = []
     for kind in kinds:
-        if kind.holds(numbers if kind.type == pa.float64() else values):
-            holding.append(kind)
-    return tuple(holding)
+        texts = numbers if kind.type == pa.float64() else values
+        if kind.fits(texts):
+            fitting.append(kind)
+    return tuple(fitting)
 
 
-def with_points(values: pa.StringArray) -> pa.StringArray:
-    """Numbers with a decimal comma as those with a decimal point; those with a point are none."""
+def points_for_commas(values: pa.StringArray) -> pa.StringArray:
+    """Replace decimal commas by points; a text with a point becomes one that is not a number.
+
+    >>> points_for_commas(pa.array(["1,5", "1.000"])).to_pylist()
+    ['1.5', '1_000']
+    """
     without_points = pc.replace_substring(values, ".", "_")
     return pc.replace_substring(without_points, ",", ".")
 
@@ -251,9 +275,10 @@ def with_points(values: pa.StringArray) -> pa.StringArray:
 def open_csv(
     path: Path, types: Mapping[str, pa.DataType], only: list[str] | None = None
 ) -> pa_csv.CSVStreamingReader:
-    """A stream of the rows of a CSV, in whatever form; only an empty field is null.
+    """Open a CSV as a stream of record batches; its form is recognised by `text_file`.
 
-    ``NA`` is a country, and ``nan`` reads as a number where one is due.
+    ``types`` of columns by name; Arrow infers the others. ``only`` names the columns to read, None
+    for all. Only an empty field is null: ``NA`` can be the code of Namibia.
     """
     file = text_file(path)
     form = file.form
@@ -272,5 +297,5 @@ def open_csv(
         strings_can_be_null=True,
         quoted_strings_can_be_null=False,
     )
-    source = _PartedByTabs(path) if form.separator == BLANKS else path
+    source = _TabSeparatedFile(path) if form.separator == BLANKS else path
     return pa_csv.open_csv(source, read, parse, convert)

@@ -1,8 +1,8 @@
 """Reads the structure of a netCDF-4 file with the HDF5 library, within a limit of processor time.
 
-HDF5 loops for ever on some damage, for example where a download left zeros among the references
-to dimensions, and nothing in the same process can stop it. So a process of its own reads the
-structure first: `structure_is_readable` starts it, `main` is what it runs.
+HDF5 loops forever on some damage, for example if a download left zeros among the references to
+dimensions, and nothing in the same process can stop it. So a separate process reads the structure
+first: `structure_is_readable` starts it, and it runs `main`.
 """
 
 import math
@@ -16,25 +16,32 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import h5py
 
-FIXED_CPU_S = 2  # for the structure of a file of any size
-MEGABYTE = 1_000_000  # of the file, for each of which the process has a second more
-LONGEST_S = 600.0  # until the file is refused where a drive does not answer
+FIXED_CPU_S = 2  # processor time for a file of any size
+BYTES_A_CPU_S = 1_000_000  # of the file: each adds a second of processor time
+LONGEST_S = 600.0  # of wall time: a drive may not answer
 
 
 def structure_is_readable(path: Path) -> bool:
-    """Whether HDF5 comes to an end with the structure of a file; raises OSError as `stat` does."""
-    cpu_s = FIXED_CPU_S + path.stat().st_size // MEGABYTE
+    """Whether HDF5 reads the structure of a file without an endless loop or a crash.
+
+    An error that HDF5 reports counts as readable: opening the file raises it again. Raises OSError
+    if there is no such file.
+    """
+    cpu_s = FIXED_CPU_S + path.stat().st_size // BYTES_A_CPU_S
     command = [sys.executable, "-P", __file__, str(path), str(cpu_s)]
     try:
-        ended = subprocess.run(command, capture_output=True, timeout=LONGEST_S, check=False)
+        process = subprocess.run(command, capture_output=True, timeout=LONGEST_S, check=False)
     except subprocess.TimeoutExpired:
         return False
-    was_killed = ended.returncode < 0
+    was_killed = process.returncode < 0  # by a signal: of the limit, or of a crash
     return not was_killed
 
 
 def _limit_processor_time(seconds: int) -> None:
-    """End this process after so many more seconds of its processor; Windows has no such limit."""
+    """Let the system kill this process after ``seconds`` more of processor time.
+
+    Windows has no such limit: there the function does nothing.
+    """
     with suppress(ImportError):
         import resource
 
@@ -44,7 +51,7 @@ def _limit_processor_time(seconds: int) -> None:
 
 
 def _read_structure(item: "h5py.Dataset | h5py.Group") -> None:
-    """Read attributes and dimensions of a dataset, or of all that a group holds.
+    """Read the attributes and dimensions of a dataset, or of everything within a group.
 
     Errors of the library are ignored: opening the file raises them again.
     """
@@ -64,7 +71,7 @@ def _read_structure(item: "h5py.Dataset | h5py.Group") -> None:
 
 
 def main() -> None:
-    """Read the structure of the file that is named, in at most so many seconds."""
+    """Run as a program: arguments are the file and the seconds of processor time allowed."""
     path, cpu_s = sys.argv[1:]
     import h5py
 

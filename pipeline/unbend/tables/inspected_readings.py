@@ -1,4 +1,4 @@
-"""How a sounding or a text of METARs is read, for `unbend inspect`."""
+"""The contents of a sounding or a text of METARs as they are read, for `unbend inspect`."""
 
 import math
 from collections.abc import Sequence
@@ -12,13 +12,14 @@ from unbend.atmosphere.soundings import RawLevels, check_levels
 from unbend.tables.soundings import ascents_in
 from unbend.units import DEGREE, HECTOPASCAL, ZERO_CELSIUS_K, Array
 
-LARGEST_TEXT_BYTES = 10_000_000  # of METARs: a year of one station has 2 MB
+LARGEST_METAR_FILE_BYTES = 10_000_000  # a year of one station has 2 MB
 
 
 def reading_of_weather(path: Path) -> dict[str, Any] | None:
-    """How a file is read as a sounding or as METARs; None where it is neither.
+    """Read a file as a sounding or as METARs; None if it is neither.
 
-    Key ``kind``: sounding or metar. Refuses (InputError) what would be refused in a mission.
+    The key ``kind`` is ``sounding``, with the keys of `reading_of_sounding`, or ``metar``, with
+    ``reports``. Raises InputError where a mission would refuse the file.
     """
     ascents = ascents_in(path)
     if ascents:
@@ -30,7 +31,11 @@ def reading_of_weather(path: Path) -> dict[str, Any] | None:
 
 
 def reading_of_sounding(ascents: Sequence[RawLevels]) -> dict[str, Any]:
-    """What is read of the first ascent of a file, and when the first and the last were."""
+    """Contents of the first ascent with levels, and the times of the first and last ascent.
+
+    ``ascents``: at least one. Ranges are [lowest, highest]; a value is None if the file does not
+    state it.
+    """
     first = next((raw for raw in ascents if raw.pressure_pa.size), ascents[0])
     times_ns = [raw.time_ns for raw in ascents if raw.time_ns is not None]
     sounding, notes = check_levels(first)
@@ -42,8 +47,8 @@ def reading_of_sounding(ascents: Sequence[RawLevels]) -> dict[str, Any]:
         "first_utc": None if not times_ns else minute_of(min(times_ns)),
         "last_utc": None if not times_ns else minute_of(max(times_ns)),
         "station": sounding.station or None,
-        "latitude_deg": known_degrees(sounding.latitude_rad),
-        "longitude_deg": known_degrees(sounding.longitude_rad),
+        "latitude_deg": rounded_degrees(sounding.latitude_rad),
+        "longitude_deg": rounded_degrees(sounding.longitude_rad),
         "levels_in_file": int(first.pressure_pa.size),
         "levels": int(sounding.h_m.size),
         "h_m": limits_of(sounding.h_m),
@@ -58,7 +63,7 @@ def reading_of_sounding(ascents: Sequence[RawLevels]) -> dict[str, Any]:
 
 
 def quantity_of_humidity(raw: RawLevels) -> str:
-    """The quantity that humidity is read from."""
+    """The quantities that a sounding states humidity as, for example "dew point"."""
     quantities = {
         "vapour pressure": raw.vapour_pressure_pa,
         "dew point": raw.dew_point_k,
@@ -69,12 +74,12 @@ def quantity_of_humidity(raw: RawLevels) -> str:
 
 
 def reports_in(path: Path) -> list[Metar]:
-    """The reports of a text, a line each; empty where it has none.
+    """The METARs of a text file, one a line; empty if it has none or is not a text.
 
-    Refuses (InputError) a line that begins as a report and is none that can be used.
+    Raises InputError for a line that begins as a report and cannot be decoded.
     """
     try:
-        if path.stat().st_size > LARGEST_TEXT_BYTES:
+        if path.stat().st_size > LARGEST_METAR_FILE_BYTES:
             return []
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError):
@@ -87,7 +92,7 @@ def reports_in(path: Path) -> list[Metar]:
 
 
 def reading_of_report(report: Metar) -> dict[str, Any]:
-    """What is read of a report; None for what it does not state."""
+    """Contents of a METAR by key; None for values that it does not state."""
     stamp = None
     if report.stamp is not None:
         day, hour, minute = report.stamp
@@ -96,32 +101,32 @@ def reading_of_report(report: Metar) -> dict[str, Any]:
         "station": report.station,
         "stamp": stamp,
         "date": None if report.date is None else str(report.date),
-        "temperature_c": known(report.temperature_c),
-        "dew_point_c": known(report.dew_point_c),
-        "qnh_hpa": known(report.altimeter_pa / HECTOPASCAL),
+        "temperature_c": rounded(report.temperature_c),
+        "dew_point_c": rounded(report.dew_point_c),
+        "qnh_hpa": rounded(report.altimeter_pa / HECTOPASCAL),
         "text": report.text,
         "notes": list(report.complaints),
     }
 
 
 def limits_of(values: Array) -> list[float] | None:
-    """The lowest and the highest of the known values; None without any."""
+    """[lowest, highest] of the finite values, to two decimals; None if no value is finite."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return None
     return [round(float(finite.min()), 2), round(float(finite.max()), 2)]
 
 
-def known(value: float) -> float | None:
-    """A number to two decimals; None where it is not known."""
+def rounded(value: float) -> float | None:
+    """A number to two decimals; None for NaN, which means unknown."""
     return round(value, 2) if math.isfinite(value) else None
 
 
-def known_degrees(angle_rad: float) -> float | None:
-    """An angle in degrees; None where it is not known."""
+def rounded_degrees(angle_rad: float) -> float | None:
+    """An angle in degrees, to four decimals; None for NaN, which means unknown."""
     return round(angle_rad / DEGREE, 4) if math.isfinite(angle_rad) else None
 
 
 def minute_of(time_ns: int) -> str:
-    """A time [Unix ns] as ISO 8601, to the minute."""
+    """A time [Unix ns] as ISO 8601 in UTC, to the minute: 2025-06-12T09:30."""
     return str(np.datetime64(time_ns, "ns").astype("datetime64[m]"))

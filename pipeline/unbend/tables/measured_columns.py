@@ -1,4 +1,4 @@
-"""Columns of observations as numbers: what is none, and what nobody measured, is NaN."""
+"""Columns of observations as numbers; NaN for other text and for impossible values."""
 
 import numpy as np
 import pyarrow as pa
@@ -8,7 +8,7 @@ from unbend.units import Array, measured
 
 
 def measured_floats(column: pa.Array) -> Array:
-    """float64 with NaN for null, for what is no number, and for numbers beyond all measures.
+    """(n,) a column as float64; NaN for null, other text, and numbers too large to be measured.
 
     Text may have decimal points or commas.
 
@@ -21,27 +21,28 @@ def measured_floats(column: pa.Array) -> Array:
     return measured(floats.to_numpy(zero_copy_only=False))
 
 
-def at_least_zero(
+def valid_magnitudes(
     column: pa.Array,
     *,
-    above: bool = False,
+    zero_is_valid: bool = True,
 ) -> tuple[Array, int]:
-    """Measured values from 0 on (``above``: greater), else NaN; how many but for nulls are not.
+    """(n,) values of a column of distances or sigmas, NaN if invalid; and how many are invalid.
 
-    NaN among numbers counts as null.
+    Valid are finite numbers above 0, and 0 itself if ``zero_is_valid``. Null and NaN are absent:
+    they become NaN and are not counted.
 
-    >>> at_least_zero(pa.array([0.0, -1.0, None, float("nan"), 1e308]))
+    >>> valid_magnitudes(pa.array([0.0, -1.0, None, float("nan"), 1e308]))
     (array([ 0., nan, nan, nan, nan]), 2)
     """
     if not is_text(column.type):
         column = column.cast(pa.float64(), safe=False)
     values = measured_floats(column)
-    is_sound = values >= 0.0
-    if above:
-        is_sound = values > 0.0
+    is_valid = values > 0.0
+    if zero_is_valid:
+        is_valid = values >= 0.0
     nulls = column.is_null(nan_is_null=True)
     is_absent = nulls.to_numpy(zero_copy_only=False)
-    is_unsound = ~(is_sound | is_absent)
-    count = int(np.count_nonzero(is_unsound))
-    sound_values = np.where(is_sound, values, np.nan)
-    return sound_values, count
+    is_invalid = ~(is_valid | is_absent)
+    invalid_count = int(np.count_nonzero(is_invalid))
+    valid_values = np.where(is_valid, values, np.nan)
+    return valid_values, invalid_count

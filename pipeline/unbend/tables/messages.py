@@ -10,7 +10,7 @@ from unbend.messages import Message, loss, note
 
 
 def csv_unreadable(*, code: Code, where: Path | str, error: str) -> InputError:
-    """A file cannot be read as CSV: another encoding, rows of different lengths, a column twice."""
+    """A file cannot be read as CSV; ``error`` is the reason: encoding, lengths of rows, columns."""
     return InputError(
         code,
         "cannot be read as CSV: {error}",
@@ -25,7 +25,7 @@ def csv_unreadable(*, code: Code, where: Path | str, error: str) -> InputError:
 
 
 def frame_columns_repeated(*, code: Code, where: str, columns: str) -> InputError:
-    """Two columns of a table in memory have one name."""
+    """Two columns of a table in memory have the same name; ``columns`` are these names."""
     return InputError(
         code,
         "the columns {columns} occur twice",
@@ -45,7 +45,11 @@ def column_missing(
     present: str,
     key: str,
 ) -> InputError:
-    """A table lacks a column; ``similar`` is the name it has that is most like it, or empty."""
+    """A table lacks the ``column`` of a quantity.
+
+    ``similar`` is the most similar name in the table, or empty; ``present`` lists its columns;
+    ``key`` of the mission file states the name.
+    """
     text = "there is no column {column!r} for the {quantity}; the columns are {present}"
     if similar:
         text = (
@@ -68,7 +72,7 @@ def column_missing(
 def fields_without_number(
     *, code: Code, path: Path | str, line: int, column: str, count: int, first: str
 ) -> InputError:
-    """Fields of a column of numbers hold other text; the first stands in a line."""
+    """``count`` fields of a column of numbers are other text, the ``first`` of them in ``line``."""
     return InputError(
         code,
         "{count} fields of column {column} are not numbers, the first {first!r}",
@@ -91,7 +95,7 @@ def numbers_beyond(
     first: float,
     largest: float,
 ) -> InputError:
-    """Numbers of a column are larger than any that it can hold; the first stands in a line."""
+    """``count`` numbers of a column have a magnitude above ``largest``, the ``first`` in ``line``."""
     return InputError(
         code,
         "{count} numbers of column {column} are beyond {largest:g}, the first {first:g}",
@@ -117,9 +121,10 @@ def angles_beyond_turn(
     likely: str,
     key: str,
 ) -> InputError:
-    """Angles are more than a turn in their unit; ``likely`` is the one in which they are not.
+    """``count`` rows have an angle of more than a full turn, the first in ``line``.
 
-    ``turn``: a full turn in ``unit``; ``largest``: of the angles.
+    ``turn`` is a full turn in the stated ``unit``, ``largest`` the largest of the angles, and
+    ``likely`` a unit in which none is more than a turn, or empty. ``key`` states the unit.
     """
     text = "{count} rows have an angle of more than one turn ({turn:g} {unit}), up to {largest:g}"
     text_of_one = "1 row has an angle of more than one turn ({turn:g} {unit}): {largest:g}"
@@ -152,7 +157,7 @@ MODEL_FORMAT = Code(
 
 
 def model_format(*, where: Path | str, head: str) -> InputError:
-    """The first bytes of a file are those of no format that is read."""
+    """The first bytes of a file, ``head``, belong to none of the formats that are read."""
     return InputError(
         MODEL_FORMAT,
         "begins with {head}: it is neither netCDF (classic or 4) nor GRIB",
@@ -187,7 +192,7 @@ def model_grid(*, where: Path | str, grid: str) -> InputError:
 def model_levels_incomplete(
     *, where: Path | str, first: float, last: float, total: int
 ) -> InputError:
-    """Model levels of ERA5 that do not go down to the lowest without a gap."""
+    """Model levels of ERA5 have a gap, or the lowest is missing: ``first`` to ``last`` in the file."""
     return InputError(
         MODEL_LEVELS,
         (
@@ -213,7 +218,7 @@ MODEL_MEMBER = Code(
 
 
 def model_member_unknown(*, where: Path | str, low: int, high: int, member: int) -> InputError:
-    """The member of the ensemble that the mission names is not in the file."""
+    """The mission names a member that the file does not contain; it has ``low`` to ``high``."""
     return InputError(
         MODEL_MEMBER,
         "it has members {low} to {high}, but member {member} is chosen",
@@ -226,7 +231,7 @@ def model_member_unknown(*, where: Path | str, low: int, high: int, member: int)
 
 
 def model_no_members(*, where: Path | str, member: int) -> InputError:
-    """The mission names a member, and the file is no ensemble."""
+    """The mission names a member, but the file is not an ensemble."""
     return InputError(
         MODEL_MEMBER,
         "it has no members, but member {member} is chosen",
@@ -237,7 +242,7 @@ def model_no_members(*, where: Path | str, member: int) -> InputError:
 
 
 def model_member_unnamed(*, where: Path | str, low: int, high: int) -> InputError:
-    """The file is an ensemble, and the mission names no member."""
+    """The file is an ensemble of members ``low`` to ``high``, but the mission names none."""
     return InputError(
         MODEL_MEMBER,
         "it has members {low} to {high}, and none is chosen",
@@ -279,7 +284,7 @@ MODEL_TIME = Code(
 
 
 def model_several_runs(*, where: Path | str, runs: str) -> InputError:
-    """The file holds several runs of a forecast."""
+    """The file contains several runs of a forecast; ``runs`` describes their dimensions."""
     return InputError(
         MODEL_TIME,
         "it has {runs}: several runs of a forecast",
@@ -290,7 +295,7 @@ def model_several_runs(*, where: Path | str, runs: str) -> InputError:
 
 
 def model_without_time(*, where: Path | str) -> InputError:
-    """The fields carry no time that can be decoded."""
+    """The fields have no time that can be decoded."""
     return InputError(
         MODEL_TIME,
         "its fields have no readable time",
@@ -300,7 +305,7 @@ def model_without_time(*, where: Path | str) -> InputError:
 
 
 def model_time(*, where: Path | str, begin: str, end: str, hours: float) -> InputError:
-    """The fields are of other hours than the flight."""
+    """The times of the fields are too far from the flight: ``hours`` from a part of it."""
     return InputError(
         MODEL_TIME,
         "its times, {begin} to {end} UTC, are {hours:.1f} h away from the flight",
@@ -323,7 +328,10 @@ MODEL_TRUNCATED = Code(
 def model_truncated(
     *, where: Path | str, number: int, start: int, length: int, size: int
 ) -> InputError:
-    """A message of a GRIB file is longer than what is left of the file."""
+    """A message of a GRIB file does not end where its header states, as after a broken download.
+
+    ``number`` counts from 1; ``start``, ``length`` and the ``size`` of the file are in bytes.
+    """
     return InputError(
         MODEL_TRUNCATED,
         (
@@ -348,7 +356,7 @@ MODEL_UNREADABLE = Code(
 
 
 def model_unreadable(*, where: Path | str, why: str) -> InputError:
-    """The operating system, xarray or ecCodes cannot read the file, and say why."""
+    """The operating system, xarray or ecCodes cannot read the file; ``why`` is their message."""
     return InputError(
         MODEL_UNREADABLE,
         "the file cannot be read: {why}",
@@ -359,7 +367,7 @@ def model_unreadable(*, where: Path | str, why: str) -> InputError:
 
 
 def model_endless(*, where: Path | str) -> InputError:
-    """The HDF5 library finds no end in the structure of the file, or crashes on it."""
+    """The HDF5 library hangs or crashes on the structure of the file."""
     return InputError(
         MODEL_UNREADABLE,
         "the file cannot be read: its structure is damaged, and the HDF5 library does not come to "
@@ -370,7 +378,7 @@ def model_endless(*, where: Path | str) -> InputError:
 
 
 def model_axis(*, where: Path | str, axis: str) -> InputError:
-    """A latitude, longitude or level of the grid is none, or stands there twice."""
+    """An axis of the grid has impossible or repeated values; ``axis`` is its name."""
     return InputError(
         MODEL_UNREADABLE,
         "the values of its axis {axis} do not form a grid",
@@ -381,7 +389,7 @@ def model_axis(*, where: Path | str, axis: str) -> InputError:
 
 
 def model_grid_too_large(*, where: Path | str, number: int, points: int, most: int) -> InputError:
-    """A GRIB message states more grid points than any model has."""
+    """A GRIB message states more grid points than any model has; ``most`` is the limit."""
     return InputError(
         MODEL_UNREADABLE,
         (
@@ -397,7 +405,7 @@ def model_grid_too_large(*, where: Path | str, number: int, points: int, most: i
 
 
 def model_section_too_long(*, where: Path | str, number: int, offset: int) -> InputError:
-    """A section of a GRIB message is longer than the message."""
+    """A section of a GRIB message, at byte ``offset`` of the file, does not fit into the message."""
     return InputError(
         MODEL_UNREADABLE,
         (
@@ -423,7 +431,7 @@ MODEL_VARIABLE = Code(
 
 
 def model_variable_missing(*, where: Path | str, lacking: str, held: str) -> InputError:
-    """A quantity that is needed is not in the file."""
+    """Quantities that are needed are not in the file; ``held`` lists the fields that are."""
     return InputError(
         MODEL_VARIABLE,
         "it has no {lacking}; it contains {held}",
@@ -449,7 +457,7 @@ def model_dimension_unknown(*, where: Path | str, dimensions: str) -> InputError
 
 
 def model_variable_elsewhere(*, where: Path | str, name: str, apart: str) -> InputError:
-    """A field is of another area or other times than the temperature."""
+    """A field and the temperature differ along some dimensions, listed in ``apart``."""
     return InputError(
         MODEL_VARIABLE,
         "{name} and the temperature have different {apart}",
@@ -471,6 +479,7 @@ OBS_ALREADY_CORRECTED = Code(
 
 
 def _already_corrected(*, where: Path | str, why: str, name: str = "") -> InputError:
+    """Refraction was removed already; ``why`` is the evidence, with ``{name}`` for ``name``."""
     return InputError(
         OBS_ALREADY_CORRECTED,
         f"refraction was removed already: {why}; correcting it again would count it twice",
@@ -481,17 +490,17 @@ def _already_corrected(*, where: Path | str, why: str, name: str = "") -> InputE
 
 
 def corrected_by_sidecar(*, where: Path | str, sidecar: str) -> InputError:
-    """A sidecar has the hash of the file: refraction was removed from it."""
+    """A sidecar lists the hash of the file as one from which refraction was removed."""
     return _already_corrected(where=where, why="{name} names the content of the file", name=sidecar)
 
 
 def corrected_by_database(*, where: Path | str, table: str) -> InputError:
-    """A table of the database says that refraction was removed."""
+    """A table of the database states that refraction was removed."""
     return _already_corrected(where=where, why="its table {name} states it", name=table)
 
 
 def corrected_by_mark(*, where: Path | str, mark: str) -> InputError:
-    """The metadata of the table say that refraction was removed."""
+    """The metadata of the table state that refraction was removed."""
     why = 'the table has the mark "refraction {name}"'
     return _already_corrected(where=where, why=why, name=mark)
 
@@ -511,7 +520,7 @@ OBS_ALREADY_DISPLACED = Code(
 
 
 def displaced_by_mark(*, where: Path | str, mark: str) -> InputError:
-    """The metadata of the table say that refraction was applied."""
+    """The metadata of the table state that refraction was applied."""
     return InputError(
         OBS_ALREADY_DISPLACED,
         'the table has the mark "refraction {mark}"; applying it again would count it twice',
@@ -546,7 +555,7 @@ OBS_CODES = Code(
 
 
 def column_as_text(*, column: str) -> Message:
-    """A column of a CSV keeps its digits as text."""
+    """A column of a CSV is written as text, because some digits are not plain numbers (007)."""
     return note(
         OBS_CODES,
         "column {column} is written as text: some of its values with digits are not plain numbers",
@@ -565,7 +574,7 @@ OBS_COLUMN = Code(
 
 
 def column_named_twice(*, where: Path | str, shared: str) -> InputError:
-    """One column of the table is named for two quantities."""
+    """The mission file names one column, ``shared``, for two quantities."""
     return InputError(
         OBS_COLUMN,
         "the column {shared!r} is named for two quantities",
@@ -610,7 +619,7 @@ OBS_DAMAGED = Code(
 
 
 def observations_damaged(*, where: Path | str, error: str) -> InputError:
-    """Arrow ends with an error amid the rows of a table."""
+    """Arrow cannot read a part of the rows of a table."""
     return InputError(
         OBS_DAMAGED,
         "reading failed: {error}",
@@ -636,7 +645,7 @@ def observations_empty(*, where: Path | str) -> InputError:
 
 
 WORKBOOKS = (".xlsx", ".xls", ".ods")
-"""Endings of files that another name makes no table."""
+"""Endings of spreadsheets: renaming such a file to .csv does not make it a table."""
 
 OBS_FORMAT = Code(
     "OBS-FORMAT",
@@ -647,7 +656,10 @@ OBS_FORMAT = Code(
 
 
 def observations_format(*, where: Path | str, ending: str, blocks: str) -> InputError:
-    """Neither the ending nor the mission file says the format of the table."""
+    """The format of the table is unknown by its ``ending``, and the mission file does not state it.
+
+    ``blocks`` lists the formats of blocks.
+    """
     return InputError(
         OBS_FORMAT,
         "a table of observations must be .csv or .parquet, not {ending}",
@@ -678,7 +690,7 @@ OBS_MARK_CHANGED = Code(
 
 
 def marked_file_changed(*, where: Path | str, name: str) -> InputError:
-    """A sidecar names the file, but with another content."""
+    """A sidecar, ``name``, lists the file with another content than it has now."""
     return InputError(
         OBS_MARK_CHANGED,
         "{name} states that refraction was removed from it, but its content has changed since then",
@@ -701,7 +713,7 @@ OBS_MARK_UNREADABLE = Code(
 
 
 def sidecar_unreadable(*, where: Path | str, name: str) -> InputError:
-    """A sidecar beside the observations is damaged."""
+    """A sidecar next to the observations cannot be read; ``name`` is the kind of error."""
     return InputError(
         OBS_MARK_UNREADABLE,
         ("the sidecar cannot be read ({name}): it may state that refraction was removed"),
@@ -743,7 +755,10 @@ OBS_OTHER_PIXELS = Code(
 def other_pixels(
     *, where: Path | str, role: str, right: str, content: str, direction: str
 ) -> InputError:
-    """The table is one of our results, and the wrong pixels of it are named."""
+    """The table is a result of unbend, and the mission names the wrong pixels of it.
+
+    ``role`` is x_px or y_px, with ``content``; ``right`` is the column to name.
+    """
     return InputError(
         OBS_OTHER_PIXELS,
         (
@@ -768,7 +783,7 @@ OBS_PARQUET = Code(
 
 
 def parquet_unreadable(*, where: Path | str, error: str) -> InputError:
-    """The table of observations is not readable as Parquet."""
+    """The table of observations cannot be read as Parquet."""
     return InputError(
         OBS_PARQUET,
         "cannot be read as Parquet: {error}",
@@ -790,7 +805,7 @@ OBS_RENAMED = Code(
 
 
 def column_renamed(*, column: str, written: str) -> Message:
-    """A column of the user's leaves under another name."""
+    """A column of the user's is written under another name, ``written``."""
     return note(
         OBS_RENAMED,
         "column {column} is written as {written}: a column of the results has the same name",
@@ -808,7 +823,7 @@ OBS_REPEATED_COLUMN = Code(
 
 
 def columns_repeated(*, where: Path | str, twice: str) -> InputError:
-    """Two columns of the table have the same name."""
+    """Columns of the table have the same name; ``twice`` lists these names."""
     return InputError(
         OBS_REPEATED_COLUMN,
         "the columns {twice} occur twice",
@@ -830,7 +845,7 @@ OBS_REPEATED_POINT = Code(
 
 
 def points_repeated(*, where: str, count: int, first: str) -> Message:
-    """Points stand twice in one image."""
+    """``count`` points occur twice in an image; ``first`` names one of them and its image."""
     return loss(
         OBS_REPEATED_POINT,
         (
@@ -856,7 +871,7 @@ OBS_TYPE = Code(
 
 
 def column_of_other_type(*, where: Path | str, column: str, kind: str) -> InputError:
-    """A column that must hold numbers holds neither these nor text, by its type in Arrow."""
+    """A column of numbers has neither numbers nor text; ``kind`` is its type in Arrow."""
     return InputError(
         OBS_TYPE,
         "the column {column} contains {kind}, not numbers",
@@ -868,7 +883,7 @@ def column_of_other_type(*, where: Path | str, column: str, kind: str) -> InputE
 
 
 def names_of_other_type(*, where: Path | str, column: str, kind: str) -> InputError:
-    """A column that must hold names holds neither text nor numbers, by its type in Arrow."""
+    """A column of names has neither text nor numbers; ``kind`` is its type in Arrow."""
     return InputError(
         OBS_TYPE,
         "the column {column} contains {kind}, not names",
@@ -890,6 +905,7 @@ SOUNDING_NETCDF = Code(
 
 
 def _not_of_arm(*, where: Path | str, why: str, name: str = "") -> InputError:
+    """A netCDF file is not a sounding of ARM; ``why``, with ``{name}`` for ``name``."""
     return InputError(
         SOUNDING_NETCDF,
         f"it is not a sounding in ARM's classic netCDF: {why}",
@@ -900,18 +916,18 @@ def _not_of_arm(*, where: Path | str, why: str, name: str = "") -> InputError:
 
 
 def sounding_is_netcdf4(*, where: Path | str) -> InputError:
-    """A sounding in netCDF-4, which is HDF5."""
+    """The sounding is netCDF-4 (HDF5), which is not read."""
     why = "it is netCDF-4 (HDF5); only the classic format is read"
     return _not_of_arm(where=where, why=why)
 
 
 def sounding_variable_missing(*, where: Path | str, variable: str) -> InputError:
-    """A netCDF file without a variable that each of ARM's radiosondes has."""
+    """A netCDF file lacks a variable that all of ARM's radiosondes have."""
     return _not_of_arm(where=where, why="it has no variable {name}", name=variable)
 
 
 def sounding_damaged(*, where: Path | str, error: str) -> InputError:
-    """A netCDF file that scipy cannot decode."""
+    """scipy cannot decode the netCDF file."""
     return _not_of_arm(where=where, why="it cannot be decoded: {name}", name=error)
 
 
@@ -924,7 +940,7 @@ SOUNDING_ZIP = Code(
 
 
 def sounding_archive(*, where: Path | str, why: str) -> InputError:
-    """An archive does not hold one readable file."""
+    """A ZIP archive does not contain exactly one readable file."""
     return InputError(
         SOUNDING_ZIP,
         "the archive cannot be used: {why}",
@@ -963,7 +979,7 @@ SOUNDING_UNREADABLE = Code(
 
 
 def sounding_unreadable(*, where: Path | str, strerror: str) -> InputError:
-    """The operating system does not let the sounding be read."""
+    """The operating system cannot read the sounding; ``strerror`` is its message."""
     return InputError(
         SOUNDING_UNREADABLE,
         "the file cannot be read: {strerror}",
@@ -974,7 +990,7 @@ def sounding_unreadable(*, where: Path | str, strerror: str) -> InputError:
 
 
 def sounding_not_utf8(*, where: Path | str, byte: int, offset: int) -> InputError:
-    """The sounding is text in another encoding."""
+    """The sounding is text in another encoding: the ``byte`` at ``offset`` is not UTF-8."""
     return InputError(
         SOUNDING_UNREADABLE,
         "the byte {byte:#04x} at offset {offset} is not valid in UTF-8",

@@ -1,4 +1,4 @@
-"""The fields of a weather model around a flight, of which only that part is read."""
+"""The fields of a weather model around a flight; the other parts of the file are not read."""
 
 import re
 from collections.abc import Sequence
@@ -38,18 +38,18 @@ from unbend.units import DEGREE, STANDARD_GRAVITY, Array, Integers, measured
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
-FARTHEST_LONGITUDE_DEG = 540.0  # grids count from -180 or from 0, and some once around again
-LARGEST_LEVEL = 1e8  # a pressure [Pa] with the unit of hectopascals twice
-FARTHEST_H = 6.0  # farther from every time of the file a flight is refused [h]
+FARTHEST_LONGITUDE_DEG = 540.0  # grids count from -180 or 0, some on for another full turn
+LARGEST_LEVEL = 1e8  # Pa: even a surface pressure that was converted from hPa twice is less
+FARTHEST_H = 6.0  # h between a time of the flight and the nearest time of the file
 
-_PER_SECOND = re.compile(r"s\s*(?:\*\*|\^)?\s*-\s*2|/\s*s")
+_PER_SECOND_SQUARED = re.compile(r"s\s*(?:\*\*|\^)?\s*-\s*2|/\s*s")  # m**2 s**-2, m^2/s^2
 _NANOSECONDS_PER_HOUR = 3.6e12
-_NODE_DIGITS = 12  # of nodes [rad]: some grids have their first longitude again at their end
+_NODE_DIGITS = 12  # of nodes [rad] that are equal: some grids repeat their first longitude
 
 
 @dataclass(frozen=True, eq=False)
 class FlightArea:
-    """Places (n,) [rad] and times (n,) [Unix ns] that columns are taken at."""
+    """Places (n,) [rad] and times (n,) [Unix ns] of the flight that needs columns of air."""
 
     latitude_rad: Array
     longitude_rad: Array
@@ -63,11 +63,12 @@ def read_model_field(
     *,
     member: int | None = None,
 ) -> ModelField:
-    """The fields of a weather model around a flight; only that part of the file is read.
+    """Read the fields of a weather model at the nodes, levels and times around a flight.
 
-    ``member`` of an ensemble. Refuses (`InputError`) files of another kind or damaged, projected
-    grids, missing fields, an ensemble without a member, levels that make no column, another time
-    and wrong units, each with a code of its own (MODEL-...).
+    ``member`` is the number of an ensemble's member, None for a file without members. Refuses
+    (`InputError`, with codes MODEL-...) files of another kind or damaged, projected grids, missing
+    fields, an ensemble without a member, levels that do not form a column, times far from the
+    flight, and wrong units.
     """
     where = path.name
     with open_datasets(path) as (datasets, _):
@@ -78,14 +79,15 @@ def read_model_field(
             _refuse_missing_levels(level, where)
         temperature_k = part.values(fields.temperature, level)
         humidity = part.values(fields.humidity, level)
-        nothing = np.empty(0)
-        height = nothing
+        not_in_file = np.empty(0)
+        height = not_in_file
         if fields.height is not None:
             height = part.values(fields.height, level)
-        surface = nothing
+        surface = not_in_file
         if fields.surface is not None:
-            surface = part.values(fields.surface, fixed=True) / fields.metre_of_surface
-        log_surface_pa = nothing
+            values = part.values(fields.surface, is_constant=True)
+            surface = values / fields.surface_units_per_metre
+        log_surface_pa = not_in_file
         if fields.log_surface is not None:
             log_surface_pa = part.values(fields.log_surface)
         field = ModelField(
@@ -109,9 +111,11 @@ def read_model_field(
 
 @dataclass(frozen=True, eq=False)
 class _Fields:
-    """The fields that are read; those that a model on such levels has not, or needs not, are None.
+    """The fields of a file that are read.
 
-    Humidity is specific, or relative (``is_relative``).
+    ``humidity`` is relative if ``is_relative``, else specific. ``height`` is the geopotential on
+    pressure levels; ``log_surface``, the logarithm of the surface pressure, belongs to model
+    levels: one of the two is None. ``surface`` is the geopotential of the ground, None if absent.
     """
 
     temperature: "DataArray"
@@ -124,22 +128,28 @@ class _Fields:
 
     @property
     def unit_of_surface(self) -> str:
-        """The unit of the ground's geopotential, or the name of a field without one."""
+        """The unit of ``surface``, in lower case.
+
+        The name of the field if it states no unit, and "" without the field.
+        """
         if self.surface is None:
             return ""
         return str(self.surface.attrs.get("units", self.surface.name)).lower()
 
     @property
-    def metre_of_surface(self) -> float:
-        """What a geopotential metre is in that unit."""
+    def surface_units_per_metre(self) -> float:
+        """How many units of ``surface`` a geopotential metre is: 9.80665 if they are m2 s-2."""
         unit = self.unit_of_surface
-        if unit == "z" or _PER_SECOND.search(unit):
+        if unit == "z" or _PER_SECOND_SQUARED.search(unit):
             return STANDARD_GRAVITY
         return 1.0
 
 
 def _fields_of(datasets: "Sequence[Dataset]", where: str) -> _Fields:
-    """The fields of a file; refuses other grids and levels, and a file that lacks one."""
+    """Find the fields that are needed; refuses a file that lacks one, and unusable grids or levels.
+
+    ``where`` is the name of the file, for the messages.
+    """
     temperature = find_field(datasets, "temperature")
     levels = _levels_of_temperature(datasets, temperature, where)
     specific = find_field(datasets, "specific humidity")
@@ -153,6 +163,7 @@ def _fields_of(datasets: "Sequence[Dataset]", where: str) -> _Fields:
     else:
         height = find_field(datasets, "geopotential")
         log_surface = None
+        # Only where the temperature is missing, the kind of levels is not known: both are named.
         needed = {"geopotential on levels": height, "lnsp (at level 1)": temperature}
     lacking = [name for name, field in needed.items() if field is None]
     if humidity is None:
@@ -181,7 +192,10 @@ def _levels_of_temperature(
     temperature: "DataArray | None",
     where: str,
 ) -> FieldLevels | None:
-    """The levels of a model; refuses another grid, and other levels than make a column."""
+    """The levels of the temperature, None without a temperature on levels.
+
+    Refuses grids that are not latitude-longitude, and levels that do not form a column.
+    """
     if temperature is None:
         return None
     grid = grid_name(datasets, temperature)
@@ -194,13 +208,13 @@ def _levels_of_temperature(
 
 
 def _names_in(datasets: "Sequence[Dataset]") -> str:
-    """The names of all fields of a file."""
+    """The names of all fields of a file, sorted, with commas; "nothing" without any."""
     names = {str(name) for dataset in datasets for name in dataset.data_vars}
     return ", ".join(sorted(names)) or "nothing"
 
 
 def _refuse_other_levels(levels: FieldLevels, where: str) -> None:
-    """Refuse too few pressures, and levels that are neither pressures nor numbers, or repeated."""
+    """Refuse too few pressure levels, repeated levels, and values that cannot be levels."""
     values = levels.values
     if values.size < FEWEST_LEVELS and not levels.of_model:
         raise model_field.too_few_levels(values, where, "in all")
@@ -210,9 +224,9 @@ def _refuse_other_levels(levels: FieldLevels, where: str) -> None:
 
 
 def _refuse_missing_levels(level: Array, where: str) -> None:
-    """Refuse model levels (l,), in their order, that do not go down to the lowest."""
-    whole = np.arange(level[0], MODEL_LEVELS + 1.0)
-    if not np.array_equal(level, whole):
+    """Refuse model levels (l,), in increasing order, with gaps or without the lowest, 137."""
+    without_gaps = np.arange(level[0], MODEL_LEVELS + 1.0)
+    if not np.array_equal(level, without_gaps):
         raise messages.model_levels_incomplete(
             where=where,
             first=level[0],
@@ -221,16 +235,18 @@ def _refuse_missing_levels(level: Array, where: str) -> None:
         )
 
 
-Rows = dict[str, Integers | int]
-"""What is read of each dimension: rows, or the one of a member."""
+IndexOfDimension = dict[str, Integers | int]
+"""Name of a dimension -> the indices along it that are read, or one index of a member."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The part of each field that is read, nodes and times about the flight and one member.
+    """The part of each field that is read: nodes and times around the flight, and one member.
 
-    ``axes`` are the dimensions of latitude and longitude, ``chosen`` the rows by dimension, and
-    ``labels`` those of these dimensions in the file.
+    ``time_ns`` (t,) [Unix ns], ``lead_h`` (t,), ``latitude_rad`` (y,) and ``longitude_rad`` (x,)
+    are those of the part. ``axes`` are the names of the dimensions of latitude and longitude.
+    ``index`` are the indices that are read, and ``labels`` all coordinates of these dimensions in
+    the file, which every field must share with the temperature.
     """
 
     time_ns: Integers
@@ -238,7 +254,7 @@ class _Part:
     latitude_rad: Array
     longitude_rad: Array
     axes: tuple[str, str]
-    chosen: Rows
+    index: IndexOfDimension
     labels: dict[str, Array]
     where: str
 
@@ -247,11 +263,14 @@ class _Part:
         field: "DataArray",
         level: Array | None = None,
         *,
-        fixed: bool = False,
+        is_constant: bool = False,
     ) -> Array:
-        """A field as (t, l, y, x), NaN where it has no value; of the surface l is 1.
+        """The part of a field as (t, l, y, x), NaN where it has no value.
 
-        Refuses other times, but of what is ``fixed``, as the ground.
+        ``level`` (l,) are the levels to return; without them l is 1, for a field at the surface.
+        Refuses a field of other nodes or times than the temperature. A field without times is
+        repeated for each time if ``is_constant``, as the height of the ground is; else its one
+        time must be that of the temperature.
         """
         levels = levels_of(field)
         version = dimension_of(field, VERSIONS)
@@ -259,14 +278,14 @@ class _Part:
         name_of_levels = None if levels is None else levels.name
         dimensions = (version, time, name_of_levels, *self.axes)
         order = [name for name in dimensions if name]
-        rows = {name: chosen for name, chosen in self.chosen.items() if name in field.dims}
-        taken = field.isel(rows)
-        self._refuse_elsewhere(field, taken, order, has_time=time is not None or fixed)
-        single = {name: 0 for name in taken.dims if name not in order}
-        ordered = taken.isel(single, drop=True).transpose(*order)
+        index = {name: rows for name, rows in self.index.items() if name in field.dims}
+        part = field.isel(index)
+        self._refuse_elsewhere(field, part, order, is_time_right=time is not None or is_constant)
+        single = {name: 0 for name in part.dims if name not in order}  # dimensions of length 1
+        ordered = part.isel(single, drop=True).transpose(*order)
         values = np.asarray(ordered.values, np.float64)
-        values = measured(values)  # fill values that the file does not state, and infinite ones
-        if version is not None:  # ERA5 and its preliminary months: each where the other is not
+        values = measured(values)  # NaN for fill values that the file does not state, and infinity
+        if version is not None:  # ERA5, and its preliminary months where the final ones are NaN
             values = reduce(_filled, values)
         if time is None:
             values = np.broadcast_to(values, (self.time_ns.size, *values.shape))
@@ -275,8 +294,12 @@ class _Part:
         return _on_levels(values, levels.values, level)
 
     def _time_dimension(self, field: "DataArray") -> str | None:
-        """The dimension of a field that has the times, None if it has one time or none."""
-        for name, rows in self.chosen.items():
+        """The dimension of times of a field, None if it has none.
+
+        In ``index`` it is the dimension with several indices that is not an axis: a member has one
+        index, which is not an array.
+        """
+        for name, rows in self.index.items():
             if name not in self.axes and name in field.dims and np.ndim(rows):
                 return name
         return None
@@ -284,49 +307,53 @@ class _Part:
     def _refuse_elsewhere(
         self,
         field: "DataArray",
-        taken: "DataArray",
+        part: "DataArray",
         order: Sequence[str],
         *,
-        has_time: bool,
+        is_time_right: bool,
     ) -> None:
         """Refuse a field of other nodes, members or times than the temperature.
 
-        ``taken`` is the part that is read, ``order`` its dimensions.
+        ``part`` is the part of ``field`` that is read, ``order`` the dimensions it may have.
+        ``is_time_right``: whether the times need no check beyond that of the dimensions.
         """
-        apart = []
-        for name in self.chosen:
+        different = []
+        for name in self.index:
             if name in field.dims and not np.array_equal(field[name].values, self.labels[name]):
-                apart.append(name)
-        apart += [name for name in taken.dims if name not in order and taken.sizes[name] > 1]
-        apart += [name for name in self.axes if name not in field.dims]
-        if not has_time and not self._has_same_times(field):
-            apart.append("time")
-        if apart:
+                different.append(name)
+        different += [name for name in part.dims if name not in order and part.sizes[name] > 1]
+        different += [name for name in self.axes if name not in field.dims]
+        if not is_time_right and not self._has_same_times(field):
+            different.append("time")
+        if different:
             raise messages.model_variable_elsewhere(
                 where=self.where,
                 name=field.name,
-                apart=", ".join(apart),
+                apart=", ".join(different),
             )
 
     def _has_same_times(self, field: "DataArray") -> bool:
-        """Whether a field without a dimension of time is of the times that are read."""
+        """Whether the time of a field without a dimension of times is that of the part."""
         if not any(name in field.coords for name in TIMES):
             return False
         return np.array_equal(self.time_ns, times_of(field, self.where).time_ns)
 
 
 def _on_levels(values: Array, levels: Array, wanted: Array) -> Array:
-    """Values (t, l, y, x) on other levels than those (l,) of a field, NaN where it has none."""
+    """Values (t, k, y, x) on ``levels`` (k,) as (t, l, y, x) on ``wanted`` (l,).
+
+    Nothing is interpolated: a wanted level that is not among ``levels`` is NaN.
+    """
     times, _, *nodes = values.shape
-    on_levels = np.full((times, wanted.size, *nodes), np.nan)
+    on_wanted = np.full((times, wanted.size, *nodes), np.nan)
     _, to_rows, from_rows = np.intersect1d(wanted, levels, return_indices=True)
-    on_levels[:, to_rows] = values[:, from_rows]
-    return on_levels
+    on_wanted[:, to_rows] = values[:, from_rows]
+    return on_wanted
 
 
-def _filled(values: Array, others: Array) -> Array:
-    """Values, and others where these are unknown."""
-    return np.where(np.isnan(values), others, values)
+def _filled(values: Array, substitutes: Array) -> Array:
+    """The values, with ``substitutes`` of the same shape in the place of NaN."""
+    return np.where(np.isnan(values), substitutes, values)
 
 
 def _part_of(
@@ -335,37 +362,38 @@ def _part_of(
     where: str,
     member: int | None,
 ) -> _Part:
-    """What is read around a flight, by the nodes of the temperature."""
-    chosen: Rows = _chosen_member(field, member, where)
+    """The part of all fields around a flight; ``field`` is the temperature."""
+    index: IndexOfDimension = _index_of_member(field, member, where)
     times = times_of(field, where)
-    time_rows = _rows_about(times, area, where)
+    time_rows = _times_around(times, area, where)
     if times.dimension is not None:
-        chosen[times.dimension] = time_rows
-    middle = float(np.median(area.longitude_rad))
-    longitude_rad = longitudes_near(area.longitude_rad, middle)
-    latitude = _axis_of(field, LATITUDE, where)
-    longitude = _axis_of(field, LONGITUDE, where)
-    latitudes = latitude.about(area.latitude_rad)
-    longitudes = longitude.near(middle).about(longitude_rad)
-    chosen[latitudes.name] = latitudes.rows
-    chosen[longitudes.name] = longitudes.rows
-    _refuse_other_dimensions(field, chosen, where)
+        index[times.dimension] = time_rows
+    middle_rad = float(np.median(area.longitude_rad))
+    longitude_rad = longitudes_near(area.longitude_rad, middle_rad)
+    latitude_axis = _axis_of(field, LATITUDE, where)
+    longitude_axis = _axis_of(field, LONGITUDE, where)
+    latitudes = latitude_axis.nodes_around(area.latitude_rad)
+    longitudes = longitude_axis.longitudes_near(middle_rad).nodes_around(longitude_rad)
+    index[latitudes.name] = latitudes.rows
+    index[longitudes.name] = longitudes.rows
+    _refuse_other_dimensions(field, index, where)
     return _Part(
         time_ns=times.time_ns[time_rows],
         lead_h=times.lead_h[time_rows],
         latitude_rad=latitudes.node_rad,
         longitude_rad=longitudes.node_rad,
         axes=(latitudes.name, longitudes.name),
-        chosen=chosen,
-        labels={name: field[name].values for name in chosen},
+        index=index,
+        labels={name: field[name].values for name in index},
         where=where,
     )
 
 
-def _chosen_member(field: "DataArray", member: int | None, where: str) -> Rows:
-    """The row of a member of an ensemble; refuses one that is not there, and an ensemble without.
+def _index_of_member(field: "DataArray", member: int | None, where: str) -> IndexOfDimension:
+    """The dimension of members and the index of the chosen one; empty without this dimension.
 
-    Empty where the file is no ensemble, or has one member alone.
+    ``member`` is the number that the mission names, or None. Refuses a number that the file does
+    not contain, and an ensemble if no member is named.
     """
     names = [name for name in field.coords if str(name).lower() in MEMBERS]
     if not names:
@@ -386,25 +414,28 @@ def _chosen_member(field: "DataArray", member: int | None, where: str) -> Rows:
     return {name: members.index(member)} if is_dimension else {}
 
 
-def _rows_about(times: FieldTimes, area: FlightArea, where: str) -> Integers:
-    """The rows of the times before, during and after a flight; refuses those of other hours."""
+def _times_around(times: FieldTimes, area: FlightArea, where: str) -> Integers:
+    """Indices of the times from the last before a flight to the first after it, in their order.
+
+    Refuses times if a part of the flight is more than `FARTHEST_H` away from each of them.
+    """
     order = np.argsort(times.time_ns)
     time_ns = times.time_ns[order]
-    first_ns = int(area.time_ns.min())
-    last_ns = int(area.time_ns.max())
-    low = max(int(np.searchsorted(time_ns, first_ns, side="right")) - 1, 0)
-    high = min(int(np.searchsorted(time_ns, last_ns)), time_ns.size - 1)
+    begin_ns = int(area.time_ns.min())
+    end_ns = int(area.time_ns.max())
+    last_before = max(int(np.searchsorted(time_ns, begin_ns, side="right")) - 1, 0)
+    first_after = min(int(np.searchsorted(time_ns, end_ns)), time_ns.size - 1)
     away_ns = np.abs(time_ns - np.unique(area.time_ns)[:, None]).min(axis=1)
     hours = float(away_ns.max()) / _NANOSECONDS_PER_HOUR
     if hours > FARTHEST_H:
         begin, end = minutes_of(time_ns[[0, -1]])
         raise messages.model_time(where=where, begin=begin, end=end, hours=hours)
-    return order[low : high + 1]
+    return order[last_before : first_after + 1]
 
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """Nodes (k,) [rad] of an axis in increasing order, and their rows in the file."""
+    """Nodes (k,) [rad] of the axis ``name`` in increasing order, and their indices in the file."""
 
     name: str
     node_rad: Array
@@ -413,21 +444,22 @@ class _Nodes:
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """An axis of a grid: its dimension, and its nodes [rad] in the order of the file."""
+    """An axis of a grid: the name of its dimension, and nodes [rad] in the order of the file."""
 
     name: str
     node_rad: Array
 
-    def near(self, middle_rad: float) -> "_Axis":
-        """Longitudes within half a turn of one."""
+    def longitudes_near(self, middle_rad: float) -> "_Axis":
+        """The axis with its longitudes shifted by full turns to within half a turn of a middle."""
         return _Axis(self.name, longitudes_near(self.node_rad, middle_rad))
 
-    def about(self, place_rad: Array) -> _Nodes:
-        """The nodes about some places (n,), with one more on either side."""
+    def nodes_around(self, place_rad: Array) -> _Nodes:
+        """The nodes that enclose places (n,) [rad], and one more on either side if there is one."""
         node_rad, rows = np.unique(
             np.round(self.node_rad, _NODE_DIGITS),
             return_index=True,
         )
+        # With -1 the first node is that below the places, with +1 the last is that above them.
         low = max(int(np.searchsorted(node_rad, place_rad.min(), side="right")) - 2, 0)
         high = int(np.searchsorted(node_rad, place_rad.max())) + 2
         return _Nodes(self.name, node_rad[low:high], rows[low:high])
@@ -438,7 +470,10 @@ def _axis_of(
     names: Sequence[str],
     where: str,
 ) -> _Axis:
-    """An axis of a field; refuses nodes that are no places on earth."""
+    """The axis of a field by one of its ``names``, LATITUDE or LONGITUDE.
+
+    Refuses nodes beyond 90 degrees of latitude or `FARTHEST_LONGITUDE_DEG`.
+    """
     name = str(dimension_of(field, names))  # a grid without it was refused
     degrees = np.asarray(field[name].values, np.float64)
     farthest_deg = FARTHEST_LONGITUDE_DEG if names is LONGITUDE else 90.0
@@ -447,15 +482,15 @@ def _axis_of(
     return _Axis(name, degrees * DEGREE)
 
 
-def _refuse_other_dimensions(field: "DataArray", chosen: Rows, where: str) -> None:
-    """Refuse a field with a dimension of several rows of which none was chosen."""
+def _refuse_other_dimensions(field: "DataArray", index: IndexOfDimension, where: str) -> None:
+    """Refuse a field with another long dimension than levels, versions and those of ``index``."""
     levels = levels_of(field)
-    understood = {*chosen, dimension_of(field, VERSIONS)}
+    understood = {*index, dimension_of(field, VERSIONS)}
     if levels is not None:
         understood.add(levels.name)
-    dimensions = []
+    unknown = []
     for name, size in field.sizes.items():
         if size > 1 and name not in understood:
-            dimensions.append(f"{name} ({size})")
-    if dimensions:
-        raise messages.model_dimension_unknown(where=where, dimensions=", ".join(dimensions))
+            unknown.append(f"{name} ({size})")
+    if unknown:
+        raise messages.model_dimension_unknown(where=where, dimensions=", ".join(unknown))

@@ -16,12 +16,16 @@ from unbend.tables.imports.blocks import BLOCKS, block_rows
 from unbend.tables.imports.blocks.image_points import rows_of_image
 
 Records = Callable[[int, list[str] | None, int], Iterator[pa.RecordBatch]]
-"""Reads a table: rows of a batch at most, where the file lets choose, which columns, from where."""
+"""Reads a table: called with the most rows of a batch (some formats choose their own), the columns
+to read (None for all), and the index of the first row."""
 
 
 @dataclass(frozen=True)
 class OpenedTable:
-    """A table whose head was read: its format or "memory", its schema, and what reads its rows."""
+    """A table with its schema, before its rows are read.
+
+    ``kind`` is csv, parquet, one of `BLOCKS`, or memory; ``records`` reads the rows.
+    """
 
     kind: str
     schema: pa.Schema
@@ -29,7 +33,11 @@ class OpenedTable:
 
 
 def open_file(path: Path, file_format: str | None) -> OpenedTable:
-    """A file of observations, its schema that of Arrow; of a CSV all text until it is scanned."""
+    """Open a file of observations, or a folder of a block, and read its schema.
+
+    ``file_format`` is csv, parquet or one of `BLOCKS`; None: by the ending. In the schema of a CSV
+    all columns are text, until `scan_csv` has read their values.
+    """
     kind = file_format or format_of_name(path)
     is_block = kind in BLOCKS
     is_there = path.is_file() or (is_block and path.is_dir())
@@ -54,7 +62,11 @@ def open_file(path: Path, file_format: str | None) -> OpenedTable:
 
 
 def format_of_name(path: Path) -> str:
-    """The format that the ending of a file says, or the ending itself."""
+    """The format of a file by its ending: csv, parquet, or the ending itself if it is another.
+
+    >>> format_of_name(Path("points.TXT")), format_of_name(Path("points.xlsx"))
+    ('csv', 'xlsx')
+    """
     ending = path.suffix.lower().removeprefix(".")
     other_endings = {
         "txt": "csv",
@@ -65,7 +77,7 @@ def format_of_name(path: Path) -> str:
 
 
 def in_memory(table: pa.Table) -> OpenedTable:
-    """A table in memory."""
+    """A table in memory as an `OpenedTable`."""
     return OpenedTable("memory", table.schema, partial(_table_records, table))
 
 
@@ -76,6 +88,7 @@ def _block_records(
     only: list[str] | None,
     first: int,
 ) -> Iterator[pa.RecordBatch]:
+    """Rows of a block, one batch an image: ``rows`` has no effect. Other arguments: `Records`."""
     for batch in _from_row(first, block_rows(path, kind)):
         yield batch if only is None else batch.select(only)
 
@@ -87,7 +100,10 @@ def csv_records(
     only: list[str] | None,
     first: int,
 ) -> Iterator[pa.RecordBatch]:
-    """Rows of a CSV whose columns have known types; arguments as of `Records`."""
+    """Rows of a CSV with ``types`` of its columns; ``rows`` has no effect.
+
+    Other arguments: `Records`.
+    """
     with damage_in_table(path), open_csv(path, types, only) as reader:
         yield from _from_row(first, reader)
 
@@ -98,9 +114,12 @@ def _parquet_records(
     only: list[str] | None,
     first: int,
 ) -> Iterator[pa.RecordBatch]:
-    # Images have few names: the first of some columns is left as it is encoded.
+    """Rows of a Parquet file; row groups before the first row are not read. Arguments: `Records`.
+
+    The first column of ``only``, that of the images, is a dictionary: it has few different names.
+    """
     encoded = None if only is None else only[:1]
-    # What is read ahead stays in memory until the end, as do the pages of a memory map.
+    # Buffers read ahead, and pages of a memory map, would stay in memory until the end.
     opened = partial(pq.ParquetFile, path, pre_buffer=False, buffer_size=1 << 20)
     with damage_in_table(path), opened(read_dictionary=encoded) as file:
         groups = range(file.num_row_groups)
@@ -123,12 +142,13 @@ def _table_records(
     only: list[str] | None,
     first: int,
 ) -> Iterator[pa.RecordBatch]:
-    chosen = table if only is None else table.select(only)
-    yield from chosen.slice(first).to_batches(max_chunksize=rows)
+    """Rows of a table in memory; arguments as of `Records`."""
+    selected = table if only is None else table.select(only)
+    yield from selected.slice(first).to_batches(max_chunksize=rows)
 
 
 def _from_row(first: int, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Batches without the rows before the first."""
+    """The batches from row ``first`` on, counted over all of them; skipped ones become empty."""
     for batch in batches:
         yield batch.slice(min(first, batch.num_rows))
         first = max(first - batch.num_rows, 0)
@@ -136,7 +156,7 @@ def _from_row(first: int, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.Reco
 
 @contextmanager
 def damage_in_table(path: Path) -> Iterator[None]:
-    """Raise what Arrow says of a damaged table as InputError (OBS-DAMAGED)."""
+    """Raise errors of Arrow in the ``with`` block as InputError (OBS-DAMAGED)."""
     try:
         yield
     except (pa.ArrowException, OSError) as error:

@@ -16,10 +16,10 @@ Pixels = TypeVar("Pixels", float, NDArray[np.float64])
 
 @dataclass(frozen=True)
 class PixelSystem:
-    """Where the pixels of a table or of a camera are counted from.
+    """The pixel system of a table or a camera: the point with the coordinates (0, 0).
 
-    ``origin`` is the point that has the coordinates (0, 0): the outer corner of the upper left
-    pixel (COLMAP's system), or its centre.
+    ``origin`` is ``corner``, the outer corner of the upper left pixel (COLMAP's system), or
+    ``centre``, the centre of that pixel.
 
     >>> PixelSystem("centre").to_colmap(0.0), PixelSystem("centre").from_colmap(0.5)
     (0.5, 0.0)
@@ -28,11 +28,11 @@ class PixelSystem:
     origin: PixelOrigin = "corner"
 
     def to_colmap(self, pixel: Pixels) -> Pixels:
-        """COLMAP's coordinates, x or y alike, of coordinates in this system [px]."""
+        """Convert x or y [px] from this system to COLMAP's."""
         return pixel + 0.5 if self.origin == "centre" else pixel
 
     def from_colmap(self, pixel: Pixels) -> Pixels:
-        """Coordinates in this system, x or y alike, of COLMAP's coordinates [px]."""
+        """Convert x or y [px] from COLMAP's system to this one."""
         return pixel - 0.5 if self.origin == "centre" else pixel
 
 
@@ -41,10 +41,10 @@ COLMAP = PixelSystem("corner")
 
 @dataclass(frozen=True)
 class ImageFrame:
-    """Coordinates in the frame of a metric camera's image, in millimetres or micrometres.
+    """The frame of coordinates in a metric camera's image, in millimetres or micrometres.
 
-    ``origin_px`` is where they count from, in COLMAP's pixels; ``px_of_x`` and ``px_of_y`` are the
-    steps across and down [px] of a unit of x and of y.
+    ``origin_px`` is the origin of the frame in COLMAP's pixels. ``px_of_x`` and ``px_of_y`` are the
+    steps to the right and down [px] for one unit of x, and for one of y.
 
     >>> frame = ImageFrame(origin_px=(50.0, 40.0), px_of_x=(10.0, 0.0), px_of_y=(0.0, -10.0))
     >>> frame.to_colmap(1.0, 2.0)
@@ -56,7 +56,7 @@ class ImageFrame:
     px_of_y: tuple[float, float]
 
     def to_colmap(self, x: Pixels, y: Pixels) -> tuple[Pixels, Pixels]:
-        """COLMAP's pixels, across and down, of coordinates in this frame."""
+        """Convert x and y from this frame to COLMAP's pixels, to the right and down."""
         origin_across, origin_down = self.origin_px
         x_across, x_down = self.px_of_x
         y_across, y_down = self.px_of_y

@@ -1,8 +1,8 @@
 """The mark of observations from which refraction was removed, so that nothing removes it twice.
 
-Parquet keeps it in its metadata, a database in a table of its own. Beside any other file stands a
-sidecar ``<file>.unbend.json`` with the SHA-256 of each file that holds such observations. Every
-export has a sidecar, for its frame; one without such observations names no file in it.
+Parquet keeps the mark in its metadata, a database in a separate table. Any other file has a sidecar
+``<file>.unbend.json`` next to it, with the SHA-256 of each file that contains such observations.
+Every export has a sidecar that describes its frame; without such observations it lists no files.
 """
 
 import hashlib
@@ -18,19 +18,21 @@ import pyarrow as pa
 from unbend.tables import messages
 
 Direction = Literal["remove", "apply"]
+"""Whether a mission removes refraction from observations, or applies it to ideal ones."""
 
 REFRACTION_KEY = b"unbend.refraction"
 REFRACTION_REMOVED = b"removed"
 REFRACTION_APPLIED = b"applied"
 SIDECAR = ".unbend.json"
-MARK_TABLE = "unbend"  # of a database: key and value, of which one is the mark
+MARK_TABLE = "unbend"  # of a database, with columns key and value; one row is the mark
 _SQLITE = b"SQLite format 3\0"
 
 
 def sidecar_text(files: Mapping[str, Path], about: Mapping[str, Any]) -> str:
-    """The sidecar of files by the names they get; ``about`` is for whoever reads it.
+    """The text of a sidecar that marks files; ``about`` is added as information for readers.
 
-    Without files it is no mark.
+    ``files`` : the name that each file will have -> where it is now. Without files the sidecar has
+    no mark.
     """
     hashes = [{"name": name, "sha256": _sha256(path)} for name, path in files.items()]
     content: dict[str, Any] = {"files": hashes, **about}
@@ -40,15 +42,17 @@ def sidecar_text(files: Mapping[str, Path], about: Mapping[str, Any]) -> str:
 
 
 def refuse_marked(path: Path, direction: Direction = "remove") -> None:
-    """Refuse a file of observations from which refraction was removed, if it is to be removed.
+    """Refuse to remove refraction from a file of observations that is marked as corrected.
 
-    ``path`` is a file, or a folder of which every file is looked at. Refused (InputError) are a
-    database with the mark, and a file whose content a sidecar in its folder names, under whatever
-    name (OBS-ALREADY-CORRECTED); a file whose name a sidecar has with another content
-    (OBS-MARK-CHANGED): another program has written to it, or it is another file; any file beside a
-    sidecar that cannot be read (OBS-MARK-UNREADABLE).
+    ``path`` is a file, or a folder: then all its files are checked. Refused (InputError) are:
 
-    Files are hashed only where there is a sidecar. Parquet and CSV: `refuse_done`.
+    - OBS-ALREADY-CORRECTED: a database with the mark, or a file with a content that a sidecar in
+      its folder lists, under any name;
+    - OBS-MARK-CHANGED: a file with a name that a sidecar lists, but with another content. Another
+      program has changed or replaced it;
+    - OBS-MARK-UNREADABLE: any file in a folder with a sidecar that cannot be read.
+
+    Files are hashed only if there is a sidecar. Marks of Parquet and CSV: `refuse_marked_table`.
     """
     if direction != "remove":
         return
@@ -57,59 +61,62 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
     if path.is_dir():
         folder = path
         files = sorted(file for file in path.iterdir() if file.is_file())
-    by_name, by_content = _marked_files(folder)
+    sidecar_of_name, sidecar_of_hash = _marked_files(folder)
     for file in files:
-        digest = _sha256(file) if by_content else ""
-        if digest in by_content:
-            raise messages.corrected_by_sidecar(where=file, sidecar=by_content[digest].name)
+        file_hash = _sha256(file) if sidecar_of_hash else ""
+        if file_hash in sidecar_of_hash:
+            raise messages.corrected_by_sidecar(where=file, sidecar=sidecar_of_hash[file_hash].name)
         if _database_is_marked(file):
             raise messages.corrected_by_database(where=file, table=MARK_TABLE)
-        if file.name in by_name:
-            raise messages.marked_file_changed(where=file, name=by_name[file.name].name)
+        if file.name in sidecar_of_name:
+            raise messages.marked_file_changed(where=file, name=sidecar_of_name[file.name].name)
 
 
 def _marked_files(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
-    """The sidecars in a folder, by the names of the files that they mark, and by their hashes."""
-    by_name = {}
-    by_content = {}
+    """The sidecars in a folder, by the names and by the SHA-256 of the files that they list.
+
+    Refuses (OBS-MARK-UNREADABLE) a sidecar that cannot be read.
+    """
+    sidecar_of_name = {}
+    sidecar_of_hash = {}
     sidecars = [file for file in folder.glob(f"*{SIDECAR}") if file.is_file()]
     for sidecar in sorted(sidecars):
         try:
             for item in json.loads(sidecar.read_text(encoding="utf-8"))["files"]:
-                by_name[str(item["name"])] = sidecar
-                by_content[str(item["sha256"])] = sidecar
+                sidecar_of_name[str(item["name"])] = sidecar
+                sidecar_of_hash[str(item["sha256"])] = sidecar
         except (OSError, ValueError, KeyError, TypeError) as error:
             name = type(error).__name__
             raise messages.sidecar_unreadable(where=sidecar, name=name) from None
-    return by_name, by_content
+    return sidecar_of_name, sidecar_of_hash
 
 
-def refuse_done(
+def refuse_marked_table(
     path: Path, schema: pa.Schema, direction: Direction, *, is_file: bool = True
 ) -> None:
-    """Refuse to do to a table what was done to it already.
+    """Refuse to remove refraction from, or apply it to, a table where that was done already.
 
-    ``schema`` is the table's, ``direction`` what is to be done. The mark in the metadata is
-    enough, and so is a column of our results without it: a CSV has no metadata. A sidecar may name
-    it as any other file; a table in memory (``is_file`` False) has none.
+    ``schema`` is the schema of the table, ``direction`` what the mission will do. The table is
+    marked by its metadata, by a column of our results (a CSV has no metadata), or by a sidecar. A
+    table in memory, with ``is_file`` False, has no sidecar.
     """
     metadata = schema.metadata or {}
     mark = metadata.get(REFRACTION_KEY)
     if direction == "remove":
-        done = REFRACTION_REMOVED
-        results = ("x_corrected_px", "y_corrected_px")
-        by_mark = messages.corrected_by_mark
-        by_column = messages.corrected_by_column
+        refused_mark = REFRACTION_REMOVED
+        refused_columns = ("x_corrected_px", "y_corrected_px")
+        refusal_of_mark = messages.corrected_by_mark
+        refusal_of_column = messages.corrected_by_column
     else:
-        done = REFRACTION_APPLIED
-        results = ("x_displaced_px", "y_displaced_px")
-        by_mark = messages.displaced_by_mark
-        by_column = messages.displaced_by_column
-    if mark == done:
-        raise by_mark(where=path, mark=done.decode())
+        refused_mark = REFRACTION_APPLIED
+        refused_columns = ("x_displaced_px", "y_displaced_px")
+        refusal_of_mark = messages.displaced_by_mark
+        refusal_of_column = messages.displaced_by_column
+    if mark == refused_mark:
+        raise refusal_of_mark(where=path, mark=refused_mark.decode())
     for name in schema.names:
-        if name in results:
-            raise by_column(where=path, column=name)
+        if name in refused_columns:
+            raise refusal_of_column(where=path, column=name)
     if is_file:
         refuse_marked(path, direction)
 
@@ -123,11 +130,12 @@ def _database_is_marked(path: Path) -> bool:
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
             row = database.execute(query, (REFRACTION_KEY.decode(),)).fetchone()
-    except sqlite3.DatabaseError:  # no such table, or damaged: for its reader to say
+    except sqlite3.DatabaseError:  # no such table; damage is reported by the reader of the file
         return False
     return bool(row == (REFRACTION_REMOVED.decode(),))
 
 
 def _sha256(path: Path) -> str:
+    """The SHA-256 of a file, as hexadecimal digits."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

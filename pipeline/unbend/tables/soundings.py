@@ -1,4 +1,4 @@
-"""A sounding from disk: text in any known format, or the netCDF of an ARM radiosonde."""
+"""Reads soundings from files: text in any known format, or the netCDF of an ARM radiosonde."""
 
 import math
 import zlib
@@ -20,15 +20,16 @@ from unbend.units import NANOSECONDS_PER_SECOND, Array
 if TYPE_CHECKING:
     from scipy.io import netcdf_file
 
-# Room for decades of one station; a larger file is of another kind, and would fill memory.
+# Decades of one station take less; a larger file is of another kind, and would fill memory.
 LARGEST_BYTES = 200_000_000
-_ZIP = b"PK\x03\x04"
-_LATEST_S = 7_258_118_400  # the year 2200
+_LATEST_S = 7_258_118_400  # Unix seconds of the year 2200
 
+# First bytes of files.
+_ZIP = b"PK\x03\x04"
 _NETCDF3 = b"CDF"
 _HDF5 = b"\x89HDF"
-# Names of ARM's sondewnpn datastream: variable, quantity's unit.
-_VARIABLES = {"pres": "hpa", "tdry": "c", "dp": "c", "rh": "percent", "alt": "m"}
+# Variables of ARM's sondewnpn datastream -> their units.
+_UNIT_OF_VARIABLE = {"pres": "hpa", "tdry": "c", "dp": "c", "rh": "percent", "alt": "m"}
 
 
 def read_sounding(
@@ -40,9 +41,12 @@ def read_sounding(
     latitude_rad: float = math.nan,
     station_h_m: float = math.nan,
 ) -> soundings.Sounding:
-    """Read a sounding; arguments as for `parse_sounding`. A nameless one is called by its file.
+    """Read a sounding from a text file, an ARM netCDF file, or a ZIP archive of one file.
 
-    Raises ``InputError`` where the file cannot be read or is none.
+    Arguments are those of `parse_sounding`: ``format_name`` of a text, ``time_ns`` of the flight
+    [Unix ns] for which the nearest ascent is taken, and latitude and height of the station for
+    files that do not state them. A sounding without a station gets the name of the file. Raises
+    ``InputError`` if the file cannot be read or is not a sounding.
     """
     try:
         size = path.stat().st_size
@@ -56,7 +60,7 @@ def read_sounding(
     if data.startswith(_HDF5):
         raise messages.sounding_is_netcdf4(where=path)
     if data.startswith(_NETCDF3):
-        raw = soundings.nearest_in_time([_netcdf(data, path)], time_ns, path.name)
+        raw = soundings.nearest_in_time([_levels_of_netcdf(data, path)], time_ns, path.name)
         checked = soundings.check_levels(raw, latitude_rad=latitude_rad, station_h_m=station_h_m)
         sounding = ledger.take(checked)
     else:
@@ -78,9 +82,9 @@ def read_sounding(
 
 
 def ascents_in(path: Path) -> list[soundings.RawLevels]:
-    """All ascents of a file as they are in it, unchecked; empty where it is no sounding.
+    """All ascents of a file, with their levels unchecked; empty if the file is not a sounding.
 
-    Refuses (InputError) a file that is a sounding and cannot be read as one.
+    Refuses (InputError) a damaged sounding.
     """
     try:
         if path.stat().st_size > LARGEST_BYTES:
@@ -91,7 +95,7 @@ def ascents_in(path: Path) -> list[soundings.RawLevels]:
     if data.startswith(_ZIP):
         data = _unpacked(data, path)
     if data.startswith(_NETCDF3):
-        return [_netcdf(data, path)] if _has_names_of_arm(data) else []
+        return [_levels_of_netcdf(data, path)] if _has_names_of_arm(data) else []
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -100,21 +104,21 @@ def ascents_in(path: Path) -> list[soundings.RawLevels]:
 
 
 def _has_names_of_arm(data: bytes) -> bool:
-    """Whether a classic netCDF file has the variables of a radiosonde of ARM."""
+    """Whether the bytes of a classic netCDF file contain the variables of ARM's radiosondes."""
     from scipy.io import netcdf_file
 
     try:
         with netcdf_file(BytesIO(data), "r", mmap=False) as file:
-            return _VARIABLES.keys() <= file.variables.keys()
+            return _UNIT_OF_VARIABLE.keys() <= file.variables.keys()
     except (OSError, TypeError, ValueError, IndexError, AttributeError):
         return False
 
 
 def _unpacked(data: bytes, path: Path) -> bytes:
-    """The only file of a ZIP archive, as archives distribute their station files.
+    """The bytes of the only file in a ZIP archive; IGRA, for example, distributes such archives.
 
-    Refuses (InputError SOUNDING-ZIP) archives that are damaged, or hold no file or several, and
-    (SOUNDING-SIZE) one that unpacks to more than `LARGEST_BYTES`.
+    Refuses (InputError SOUNDING-ZIP) archives that are damaged or contain several files or none,
+    and (SOUNDING-SIZE) a file of more than `LARGEST_BYTES`.
     """
     try:
         with ZipFile(BytesIO(data)) as archive:
@@ -133,23 +137,26 @@ def _unpacked(data: bytes, path: Path) -> bytes:
         raise messages.sounding_archive(where=path, why=str(error)) from None
 
 
-def _netcdf(data: bytes, path: Path) -> soundings.RawLevels:
-    """The levels of a classic netCDF file with ARM's names; fill values become NaN."""
+def _levels_of_netcdf(data: bytes, path: Path) -> soundings.RawLevels:
+    """The levels of an ARM radiosonde from the bytes of a classic netCDF file, in SI units.
+
+    Fill values become NaN. ``path`` is named in refusals.
+    """
     from scipy.io import netcdf_file
 
     try:
         with netcdf_file(BytesIO(data), "r", mmap=False) as file:
             columns = {}
-            for name, unit in _VARIABLES.items():
+            for name, unit in _UNIT_OF_VARIABLE.items():
                 if name not in file.variables:
                     raise messages.sounding_variable_missing(where=path, variable=name)
                 columns[name] = to_si(_column(file, name), unit)
             latitude_deg = _first_value(file, "lat", math.nan)
             longitude_deg = _first_value(file, "lon", math.nan)
-            start = 0  # a fill value is no time, and none is none
+            base_s = 0  # Unix seconds; 0 if unknown
             if "base_time" in file.variables:
-                start = int(file.variables["base_time"].getValue())
-            offset = _first_value(file, "time_offset", 0.0)
+                base_s = int(file.variables["base_time"].getValue())
+            offset_s = _first_value(file, "time_offset", 0.0)  # from the base to the first level
     except (
         OSError,
         TypeError,
@@ -158,19 +165,19 @@ def _netcdf(data: bytes, path: Path) -> soundings.RawLevels:
         AttributeError,
         OverflowError,  # of an infinite time
     ) as error:
-        # What scipy raises on a damaged header, by what the damage hit.
+        # scipy raises these on damaged headers.
         raise messages.sounding_damaged(where=path, error=str(error)) from None
     release_ns = None
-    if 0 < start < _LATEST_S:
-        since = offset if math.isfinite(offset) else 0.0
-        release_ns = round((start + since) * NANOSECONDS_PER_SECOND)
+    if 0 < base_s < _LATEST_S:  # else unknown, or a fill value
+        offset_s = offset_s if math.isfinite(offset_s) else 0.0
+        release_ns = round((base_s + offset_s) * NANOSECONDS_PER_SECOND)
     where_released = place_of_numbers(latitude_deg, longitude_deg)
     return soundings.RawLevels(
         h_m=columns["alt"],
         pressure_pa=columns["pres"],
         temperature_k=columns["tdry"],
-        # ARM does not say so, but they are: the hypsometric equation gives them to 2e-4 up to
-        # 24 km, where geometric heights would be 0.7 % off in the upper layers.
+        # ARM does not state it, but the hypsometric equation reproduces these heights to 2e-4 up
+        # to 24 km; geometric heights would differ by 0.7 % in the upper layers.
         geopotential=True,
         dew_point_k=columns["dp"],
         relative_humidity=columns["rh"],
@@ -184,14 +191,14 @@ def _netcdf(data: bytes, path: Path) -> soundings.RawLevels:
 
 
 def _first_value(file: "netcdf_file", name: str, default: float) -> float:
-    """The first value of a variable, ``default`` where the file has none of that name."""
+    """The first value of a variable, NaN for a fill value; ``default`` without the variable."""
     if name not in file.variables:
         return default
     return float(_column(file, name)[0])
 
 
 def _column(file: "netcdf_file", name: str) -> Array:
-    """The values of a variable; NaN for fill values, and beyond all that is measured."""
+    """The values of a variable in its unit; NaN for fill values and impossibly large ones."""
     values = np.array(file.variables[name].data, dtype=np.float64)
     is_fill = np.isin(values, FILLS)
     is_possible = np.abs(values) <= LARGEST

@@ -1,4 +1,4 @@
-"""Columns by the user's names: what is refused, and small tables as text, numbers and times."""
+"""Columns by the user's names: checks of tables, and small tables as text, numbers and times."""
 
 import difflib
 import re
@@ -33,8 +33,8 @@ from unbend.units import (
 )
 from unbend.written_numbers import LETTERS_OF_AXIS, angle_of, number_of
 
-_LEAST_SIMILAR = 0.5  # of names, by difflib: x_pix is 0.89 to x_px
-LINE_OF_FIRST_ROW = 2  # of a table in memory, as though its first line were its header
+_LEAST_SIMILAR = 0.5  # similarity of a name that is suggested, by difflib: x_pix to x_px has 0.89
+LINE_OF_FIRST_ROW = 2  # of a table in memory, as if its first line were its header
 _PUNCTUATION = re.compile(r"[^a-z0-9]")
 _ENDINGS_OF_HEMISPHERE = ("ref", "hemisphere", "hemi", "dir")
 _QUANTITIES_OF_NAMES = ("image", "camera", "point")  # whose columns hold text
@@ -43,38 +43,38 @@ LARGEST_OF_QUANTITIES = {
     "longitude": 360.0,
     "height": LARGEST_HEIGHT_M,
 }
-"""What the numbers of a column are at most, where that is less than `LARGEST_NUMBER`."""
+"""Quantity -> the largest magnitude of its numbers, if that is less than `LARGEST_NUMBER`."""
 
-_MOST_WEEKS = 10_000  # until 2171: 64 bits of nanoseconds hold it
-_MOST_SECONDS = 1e9  # within a week, or since 1980 by a table that counts on
+_MOST_WEEKS = 10_000  # GPS weeks, until 2171: nanoseconds in 64 bits reach beyond that
+_MOST_SECONDS = 1e9  # of a week; some tables have week 0 and count all seconds since 1980
 _WEEK_NS = SECONDS_PER_WEEK * 10**9
-# ISO 8601 with year, month and day; years of four digits that nanoseconds since 1970 can count.
+# ISO 8601 with year, month and day; nanoseconds since 1970 can count these years.
 _WITH_DAY = r"(?:19|20)\d\d(?:-\d{1,2}-\d{1,2}|\d{4})(?!\d)"
-# 1990: no survey had GPS before. Receivers that count weeks modulo 1024 state such weeks today.
+# GPS week at the end of 1989: no survey had GPS before. A lower number is usually one modulo 1024.
 FIRST_WEEK_OF_SURVEYS = 521
 
 
 def text_table(
     path: Path, wanted: Mapping[str, str], *, codes: tuple[Code, Code], key: str
 ) -> pd.DataFrame:
-    """All fields as text, by the names of their columns; a field that is not there is empty.
+    """Read all fields of a table as text; a missing field is an empty text.
 
-    The table has any form that `unbend.table_dialect` knows; numbers with a decimal comma come
-    with a point. The index are the numbers of the lines. ``wanted`` : quantity -> name of its
-    column, as stated under ``key`` of the mission file. Refuses what is no table or has two columns
-    of one name (the first of ``codes``), and one that lacks a column (the second).
+    The table has any form that `unbend.table_dialect` knows; decimal commas become points. The
+    index of the result are the line numbers in the file. ``wanted`` : quantity -> name of its
+    column, as stated under ``key`` of the mission file. The first of ``codes`` refuses files that
+    are not tables and tables with two columns of one name, the second tables that lack a column.
     """
-    of_names = {name for quantity, name in wanted.items() if quantity in _QUANTITIES_OF_NAMES}
+    name_columns = {name for quantity, name in wanted.items() if quantity in _QUANTITIES_OF_NAMES}
     table_code, column_code = codes
-    table = unrepeated_table(path, table_code, of_names)
+    table = unrepeated_table(path, table_code, name_columns)
     wanted_columns = [(quantity, name, f"{key}.{quantity}") for quantity, name in wanted.items()]
     require_names(column_code, path, table.columns.tolist(), wanted_columns)
     return table
 
 
-def unrepeated_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFrame:
-    """As `whole_table`; refuses (``code``) a table with two columns of one name, too."""
-    table = whole_table(path, code, of_names)
+def unrepeated_table(path: Path, code: Code, name_columns: Collection[str]) -> pd.DataFrame:
+    """Read a table like `whole_table`; also refuses (``code``) two columns of one name."""
+    table = whole_table(path, code, name_columns)
     repeated = _repeated(table.columns.tolist())
     if repeated:
         why = f"the columns {repeated} occur twice"
@@ -82,15 +82,17 @@ def unrepeated_table(path: Path, code: Code, of_names: Collection[str]) -> pd.Da
     return table
 
 
-def whole_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFrame:
-    """The table of `text_table`, whatever columns it has; refuses (``code``) what is no table.
+def whole_table(path: Path, code: Code, name_columns: Collection[str]) -> pd.DataFrame:
+    """Read all fields of a table as text, like `text_table`, without a check of its columns.
 
-    The columns ``of_names`` stay as they are, even where they look like numbers.
+    Refuses (``code``) files that are not tables. ``name_columns`` contain names of images, cameras
+    or points: their commas are not changed to points.
     """
     try:
         file = text_file(path)
         form = file.form
-        # The head is read as a row: pandas takes longer rows for an index and renames repeats.
+        # The head is read as a row: with a header, pandas takes the first field of longer rows for
+        # an index, and renames repeated columns.
         rows = pd.read_csv(
             path,
             header=None,
@@ -113,16 +115,17 @@ def whole_table(path: Path, code: Code, of_names: Collection[str]) -> pd.DataFra
     for column, name in enumerate(form.names):
         fields = table.iloc[:, column].tolist()
         with_points = with_decimal_points(fields, decimal_comma=form.decimal_comma)
-        if name not in of_names and with_points is not fields:
+        is_changed = with_points is not fields
+        if is_changed and name not in name_columns:
             table.isetitem(column, list(with_points))
     return table
 
 
 def _comments_between_rows(table: pd.DataFrame) -> Mask:
-    """(n,) the rows that begin with # or % and have no other field."""
-    begins_so = table.iloc[:, 0].str.startswith(("#", "%"))
-    has_no_other = (table.iloc[:, 1:] == "").all(axis=1)
-    return np.asarray(begins_so & has_no_other, np.bool_)
+    """(n,) whether a row is a comment: it begins with # or %, and all other fields are empty."""
+    has_comment_mark = table.iloc[:, 0].str.startswith(("#", "%"))
+    is_rest_empty = (table.iloc[:, 1:] == "").all(axis=1)
+    return np.asarray(has_comment_mark & is_rest_empty, np.bool_)
 
 
 def text_of_frame(
@@ -133,7 +136,11 @@ def text_of_frame(
     codes: tuple[Code, Code],
     key: str,
 ) -> pd.DataFrame:
-    """The fields of a table in memory as `text_table` reads them; numbers keep all their digits."""
+    """The fields of a table in memory as text, in the form of `text_table`.
+
+    Missing values become empty texts, and numbers keep all their digits. ``name`` of the table is
+    for refusals; the index are line numbers as if the first line were a header.
+    """
     names = [str(column) for column in frame.columns]
     table_code, column_code = codes
     repeated = _repeated(names)
@@ -149,13 +156,15 @@ def text_of_frame(
 
 
 def _repeated(names: Sequence[str]) -> str:
-    """The names that occur twice or more, sorted and with commas between them."""
+    """The names that occur twice or more, sorted and with commas between them; "" without any."""
     repeated = {name for name in names if names.count(name) > 1}
     return ", ".join(sorted(repeated))
 
 
 def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
-    """Lines as rows of text, split at the regular expression; a field that is not there is empty.
+    """Split lines at a regular expression into columns of text with the ``names``.
+
+    Missing fields are empty, and further fields are dropped.
 
     >>> split_lines(["1 2,3", "4"], ["a", "b"], r"[ ,]").values.tolist()
     [['1', '2'], ['4', '']]
@@ -169,16 +178,14 @@ def split_lines(lines: Sequence[str], names: Sequence[str], separator: str) -> p
 
 
 def numbers(text: "pd.Series[str]", largest: float = LARGEST_NUMBER) -> Array:
-    """(n,) numbers of fields, NaN where one is none or beyond the ``largest``."""
+    """(n,) fields as numbers; NaN for other text and for magnitudes above ``largest``."""
     return measured(stated_numbers(text), largest)
 
 
 def stated_numbers(text: "pd.Series[str]") -> Array:
-    """(n,) numbers of fields of any size, NaN where one is none; -0 keeps its sign.
-
-    Python would read 4_7 as 47; in a table that is no number.
-    """
+    """(n,) fields as numbers of any size; NaN for other text. -0 keeps its sign."""
     fields = text.to_numpy(object)
+    # numpy would read 4_7 as 47, and pandas does not.
     has_underscore = any("_" in field for field in fields)
     if not has_underscore:
         with suppress(ValueError):
@@ -187,7 +194,10 @@ def stated_numbers(text: "pd.Series[str]") -> Array:
 
 
 def numbers_in_text(text: "pd.Series[str]") -> Array:
-    """(n,) numbers of fields among which others are text; with decimal points or commas."""
+    """(n,) fields as numbers, with decimal points or commas; NaN for other text.
+
+    Numbers too large to be measured are NaN too.
+    """
     values = np.array(pd.to_numeric(text, errors="coerce"), np.float64)
     has_comma = text.str.contains(",", regex=False, na=False)
     for row in np.flatnonzero(has_comma).tolist():
@@ -204,40 +214,42 @@ def degrees_of(
     *,
     quantity: str,
 ) -> Array:
-    """(n,) a column of latitudes or longitudes [deg], as numbers or in degrees and minutes.
+    """(n,) the column ``name`` as degrees, from numbers or from degrees, minutes and seconds.
 
-    A column of hemispheres beside it gives the signs. NaN where a field is empty; refuses
-    (``code``) any other text, and a sign or letter of another hemisphere.
+    ``quantity`` is latitude or longitude. A column of hemispheres, if there is one, gives the
+    signs. NaN for empty fields; refuses (``code``) other text, and signs or letters that contradict
+    the hemisphere.
     """
     fields = table[name]
     letters = LETTERS_OF_AXIS[quantity]
     hemispheres = _hemispheres_of(table, name, quantity)
     degrees = np.array(numbers(fields))
-    unread = []
+    wrong_rows = []
     has_hemisphere = (hemispheres != "").to_numpy()
-    in_parts = np.isnan(degrees) | has_hemisphere
-    for row in np.flatnonzero(in_parts).tolist():
+    is_not_plain = np.isnan(degrees) | has_hemisphere
+    for row in np.flatnonzero(is_not_plain).tolist():
         try:
             degrees[row] = angle_of(fields.iloc[row], hemispheres.iloc[row], letters)
         except ValueError:
-            unread.append(row)
-    if unread:
-        first_row = unread[0]
+            wrong_rows.append(row)
+    if wrong_rows:
+        first_row = wrong_rows[0]
         raise messages.fields_without_number(
             code=code,
             path=path,
             line=int(table.index[first_row]),
             column=name,
-            count=len(unread),
+            count=len(wrong_rows),
             first=fields.iloc[first_row],
         )
     return degrees
 
 
 def _hemispheres_of(table: pd.DataFrame, name: str, quantity: str) -> "pd.Series[str]":
-    """(n,) the hemisphere of each row, by a column that is called so; else empty.
+    """(n,) the hemisphere of each row from a column of letters N, S or E, W; "" without one.
 
-    Its name is that of the angle with "ref", "hemisphere" or "dir" behind it, or N/S, E/W.
+    ``name`` is the column of the angle. That of the letters has the same name with an ending, as
+    "LatitudeRef" or "lat_hemisphere", or is named after the letters: "N/S".
     """
     letters = LETTERS_OF_AXIS[quantity]
     name_of_angle = _PUNCTUATION.sub("", name.lower())
@@ -259,9 +271,9 @@ def _hemispheres_of(table: pd.DataFrame, name: str, quantity: str) -> "pd.Series
 def numbers_of(
     table: pd.DataFrame, name: str, path: Path, code: Code, largest: float = LARGEST_NUMBER
 ) -> Array:
-    """(n,) a column as numbers, NaN where a field is empty.
+    """(n,) the column ``name`` as numbers; NaN for empty fields.
 
-    Refuses (``code``) any other text, and numbers beyond the ``largest``.
+    Refuses (``code``) other text and magnitudes above ``largest``, in contrast to `numbers`.
     """
     values = stated_numbers(table[name])
     is_stated = (table[name].str.strip() != "").to_numpy()
@@ -282,45 +294,46 @@ def numbers_of(
 
 
 def largest_of(quantity: str) -> float:
-    """What the numbers of a column of a quantity are at most."""
+    """The largest magnitude that a number of a quantity can have, in the unit of its column."""
     return LARGEST_OF_QUANTITIES.get(quantity, LARGEST_NUMBER)
 
 
 def refuse_beyond(
     values: Array, largest: float, path: Path, code: Code, *, column: str, lines: Integers
 ) -> None:
-    """Refuse (``code``) numbers (n,) beyond the ``largest``; ``lines`` (n,) are those of the rows.
+    """Refuse (``code``) values (n,) with a magnitude above ``largest``; NaN passes.
 
-    NaN is unknown.
+    ``lines`` (n,) are the line numbers of the rows, for the message.
     """
-    beyond = np.flatnonzero(np.abs(values) > largest)
-    if beyond.size == 0:
+    wrong_rows = np.flatnonzero(np.abs(values) > largest)
+    if wrong_rows.size == 0:
         return
-    first = int(beyond[0])
+    first_row = int(wrong_rows[0])
     raise messages.numbers_beyond(
         code=code,
         path=path,
-        line=int(lines[first]),
+        line=int(lines[first_row]),
         column=column,
-        count=beyond.size,
-        first=float(values[first]),
+        count=wrong_rows.size,
+        first=float(values[first_row]),
         largest=largest,
     )
 
 
 def angles_in_radians(
-    given: Array, unit: AngleUnit, path: Path, code: Code, *, key: str, lines: "pd.Index[Any]"
+    angles: Array, unit: AngleUnit, path: Path, code: Code, *, key: str, lines: "pd.Index[Any]"
 ) -> Array:
-    """(n, 3) angles in radians; refuses (``code``) more than a full turn in the unit stated.
+    """Convert angles (n, 3) from ``unit`` to radians; refuses (``code``) more than a full turn.
 
-    ``key`` is the mission file's for the unit; ``lines`` (n,) are those of the rows.
+    ``key`` of the mission file states the unit, and ``lines`` (n,) are the line numbers of the
+    rows: both are for the message, which suggests a unit in which no angle is more than a turn.
     """
-    turn = {name: 2.0 * np.pi / size for name, size in RADIANS.items()}
-    size = np.abs(given)
-    is_beyond = (size > turn[unit] * (1.0 + 1e-6)).any(axis=1)
+    turn = {name: 2.0 * np.pi / radians for name, radians in RADIANS.items()}
+    magnitude = np.abs(angles)
+    is_beyond = (magnitude > turn[unit] * (1.0 + 1e-6)).any(axis=1)  # rounding is allowed
     if not bool(is_beyond.any()):
-        return given * RADIANS[unit]
-    largest = float(np.nanmax(size))
+        return angles * RADIANS[unit]
+    largest = float(np.nanmax(magnitude))
     likely_units = [name for name in turn if largest <= turn[name]]
     first_row = int(np.argmax(is_beyond))
     raise messages.angles_beyond_turn(
@@ -337,10 +350,11 @@ def angles_in_radians(
 
 
 def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray, Mask]:
-    """(n,) Unix nanoseconds of dates with a time of day in UTC or GPS time; which are good.
+    """Unix nanoseconds (n,) of dates with a time of day, and (n,) whether each is valid.
 
-    ISO 8601, or with slashes between year, month and day; zones are honoured. A year or a month
-    alone is no time, and a time at which no survey can have been flown is none either.
+    ``text`` is ISO 8601, or has slashes between year, month and day; a time zone is applied.
+    ``system`` is utc or gpst. Invalid are a year or month alone, other text, and times at which no
+    survey can have been flown.
     """
     iso = text.str.replace("/", "-", regex=False).str.strip()
     has_day = iso.str.match(_WITH_DAY).to_numpy(np.bool_)
@@ -356,9 +370,10 @@ def utc_of_dates(text: "pd.Series[str]", system: str = "utc") -> tuple[TimeArray
 
 
 def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
-    """(n,) Unix nanoseconds of weeks since 1980-01-06 and their seconds, in GPS time or UTC.
+    """(n,) Unix nanoseconds of weeks since 1980-01-06 and seconds (n,) within them.
 
-    0 where one of both is unknown (NaN), negative or beyond all dates, or the week not whole.
+    ``system`` is gpst, from which leap seconds are subtracted, or utc. The result is 0 if week or
+    seconds are unknown (NaN), negative or too large, or the week is not a whole number.
     """
     is_whole = week == np.floor(week)
     is_week = is_whole & (week >= 0) & (week <= _MOST_WEEKS)
@@ -375,9 +390,10 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
 
 
 def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeArray, Mask]:
-    """(n,) Unix nanoseconds from a column of UTC times, or GPS week and seconds; which are good.
+    """Unix nanoseconds (n,) from columns of UTC or GPS time, and (n,) whether each is valid.
 
-    Times without a zone are UTC; GPS seconds are reduced by the leap seconds of their date.
+    ``names`` : time_utc, or gps_week and gps_seconds -> the column. Times without a zone are UTC;
+    the leap seconds of their date are subtracted from GPS seconds.
     """
     if "time_utc" in names:
         return utc_of_dates(table[names["time_utc"]])
@@ -396,10 +412,10 @@ def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeA
 def require_names(
     code: Code,
     path: Path,
-    there: Sequence[str],
+    columns: Sequence[str],
     wanted: Iterable[tuple[str, str, str]],
 ) -> None:
-    """Refuse a table that lacks a column, with the name it may have been meant to be.
+    """Refuse (``code``) a table with ``columns`` that lacks a wanted one; suggests a similar name.
 
     ``wanted`` : quantity, the user's name of its column, and the key of the mission file for that.
 
@@ -412,15 +428,15 @@ columns are image, x_pix
       to do: state the name of the column: k
     """
     for quantity, name, key in wanted:
-        if name not in there:
-            similar = difflib.get_close_matches(name, there, 1, _LEAST_SIMILAR)
+        if name not in columns:
+            similar = difflib.get_close_matches(name, columns, 1, _LEAST_SIMILAR)
             raise messages.column_missing(
                 code=code,
                 where=path,
                 quantity=quantity,
                 column=name,
                 similar=similar[0] if similar else "",
-                present=columns_in_words(there),
+                present=columns_in_words(columns),
                 key=key,
             )
 
@@ -430,10 +446,11 @@ def require_columns(
     schema: pa.Schema,
     wanted: Sequence[tuple[str, str, str]],
 ) -> None:
-    """Refuse a table that lacks a column or has two of one name, and one column for two quantities.
+    """Refuse a table of observations with columns that do not fit those ``wanted``.
 
-    ``wanted`` : quantities, the user's names of their columns, which have to hold text or numbers,
-    and the keys of the mission file for these.
+    These are a missing column, two columns of one name, a column wanted for two quantities, and a
+    column of neither text nor numbers. ``wanted`` : quantity, the user's name of its column, and
+    the key of the mission file for that.
     """
     repeated = _repeated(schema.names)
     if repeated:
@@ -452,13 +469,13 @@ def require_columns(
 
 
 def is_text(kind: Any) -> bool:
-    """Whether an Arrow type is text, a dictionary of texts included."""
+    """Whether an Arrow type is text, or a dictionary of text."""
     kind = kind.value_type if pa.types.is_dictionary(kind) else kind
     return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
 def is_number(kind: Any) -> bool:
-    """Whether an Arrow type is a number or null throughout, a dictionary of these included."""
+    """Whether an Arrow type is a number or null, or a dictionary of these."""
     kind = kind.value_type if pa.types.is_dictionary(kind) else kind
     return bool(
         pa.types.is_floating(kind)
@@ -471,22 +488,23 @@ def is_number(kind: Any) -> bool:
 def refuse_other_pixels(
     path: Path, schema: pa.Schema, direction: Direction, columns: Mapping[str, str]
 ) -> None:
-    """Refuse, in a table of our results, the pixels that went in where those that came out are due.
+    """Refuse x_px, y_px of a table that also has the results of the other direction.
 
-    ``columns`` : x_px, y_px -> the name of the column that is to be read.
+    A mission that removes refraction needs x_displaced_px of such a table, and one that applies it
+    needs x_corrected_px. ``columns`` : x_px, y_px -> the name of the column to read.
     """
-    due = "displaced"
+    needed_pixels = "displaced"
     content = "ideal"
     if direction == "apply":
-        due = "corrected"
+        needed_pixels = "corrected"
         content = "as measured"
     for role in ("x_px", "y_px"):
-        right = f"{role[0]}_{due}_px"
-        if right in schema.names and columns[role] == role:
+        needed_column = f"{role[0]}_{needed_pixels}_px"
+        if needed_column in schema.names and columns[role] == role:
             raise messages.other_pixels(
                 where=path,
                 role=role,
-                right=right,
+                right=needed_column,
                 content=content,
                 direction=direction,
             )

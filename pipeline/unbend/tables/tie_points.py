@@ -13,19 +13,19 @@ from unbend.tables.name_hashes import hashes_of
 from unbend.tables.observations import Batch, Observations
 from unbend.units import Array, Integers
 
-MOST_TIE_POINTS = 2000  # that serve all that is decided by intersection
-_MOST_ROWS = 20_000_000  # read in some seconds; the rest of a larger table is not looked at
-_ROWS_KEPT = 200_000
+MOST_TIE_POINTS = 2000  # enough for all decisions by intersection
+_MOST_ROWS = 20_000_000  # read in some seconds; further rows of a larger table are not read
+_ROWS_KEPT = 200_000  # about as many rows are left of a larger table
 _MOST_RAYS = 4  # of one point: a survey from high up shows a point in a hundred images
 
 
 @dataclass(frozen=True, eq=False)
 class TiePoints:
-    """Observations of points in two or more images, (n,): in COLMAP's pixels, by point.
+    """Observations (n,) of points in two or more images, sorted by point, in COLMAP's pixels.
 
-    ``image`` are rows of ``images``; ``point`` counts from 0. ``ground`` is the given
-    height of the point [m], NaN where none is. ``repeated`` names a point and its image for each
-    row read that repeats one.
+    ``image`` are indices into ``images``, the names of all images; ``point`` are numbers from 0.
+    ``ground`` is the stated height of the point [m], NaN without one. ``repeated`` lists repeated
+    observations of a point in one image, as "point in image"; they are left out.
     """
 
     images: tuple[str, ...]
@@ -38,12 +38,13 @@ class TiePoints:
 
 
 def draw_tie_points(observations: Observations, most: int) -> TiePoints:
-    """Up to ``most`` points with two to four rays, spread over the images: each has its first few.
+    """Draw up to ``most`` points with two to four rays each, spread over the images.
 
-    The same table gives the same points, whatever the order of its rows. Of more than 200,000 rows
-    those of one point in k are kept, by the hash of its name; 20 million rows are read at most.
+    The same table gives the same points, in any order of its rows. If it has more than 200,000
+    rows, only a share of the points is used, chosen by the hashes of their names. At most about 20
+    million rows are read.
     """
-    batch = observations.of_points(_hash_filter(observations.rows), _MOST_ROWS)
+    batch = observations.rows_of_points(_hash_filter(observations.rows), _MOST_ROWS)
     table = _numbered_rows(batch, observations.images)
     has_point = batch.point.is_valid().to_numpy(zero_copy_only=False)
     has_image = table["image"] >= 0
@@ -69,21 +70,25 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
 
 
 def _hash_filter(rows: int) -> Callable[[NDArray[np.uint64]], Integers]:
-    """Which hashes of names are kept of a table of so many rows: those below a limit."""
-    rows_read = min(rows, _MOST_ROWS)
-    one_in = np.uint64(max(1, rows_read // _ROWS_KEPT))
-    largest_kept = np.iinfo(np.uint64).max // one_in
+    """A function from hashes (n,) to the indices (k,) of those to keep in a table of ``rows`` rows.
 
-    def kept(hashes: NDArray[np.uint64]) -> Integers:
+    Hashes are evenly distributed: keeping those below a limit leaves about `_ROWS_KEPT` rows.
+    """
+    rows_read = min(rows, _MOST_ROWS)
+    rows_for_each_kept = np.uint64(max(1, rows_read // _ROWS_KEPT))
+    largest_kept = np.iinfo(np.uint64).max // rows_for_each_kept
+
+    def indices_of_kept(hashes: NDArray[np.uint64]) -> Integers:
         return np.flatnonzero(hashes <= largest_kept)
 
-    return kept
+    return indices_of_kept
 
 
 def _numbered_rows(batch: Batch, images: tuple[str, ...]) -> pd.DataFrame:
-    """Image (row of ``images``, -1 for another), hash of the point, pixels, height of the ground.
+    """The rows of a batch with numbers for names: columns image, point, x, y [px] and ground [m].
 
-    Numbers in the order of names: a table of text takes ten times as long to be sorted.
+    ``image`` is the index in ``images``, -1 for a name that is not there; ``point`` is the hash of
+    the name. Sorting names as text would take ten times as long.
     """
     image_names = pd.Index(batch.image.to_pandas())
     return pd.DataFrame(
@@ -98,21 +103,22 @@ def _numbered_rows(batch: Batch, images: tuple[str, ...]) -> pd.DataFrame:
 
 
 def _spread_points(table: pd.DataFrame, most: int) -> pd.DataFrame:
-    """Rows of up to ``most`` points of two images or more, sorted by point and image.
+    """The rows of up to ``most`` points that two images or more show, sorted by point and image.
 
-    In the order of hashes, the first point of an image comes before the second of any.
+    Points are numbered within each image in the order of their hashes. Those that are first in an
+    image are taken before those that are second, and so on: so every image gets some.
     """
     images_of_point = table.groupby("point")["image"].transform("size")
     table = table[images_of_point > 1]
     table = table.sort_values(["point", "image"])
-    place_in_image = table.groupby("image").cumcount()
-    place_of_point = place_in_image.groupby(table["point"]).min()
-    first_points = place_of_point.sort_values(kind="stable").index[:most]
+    rank_in_image = table.groupby("image").cumcount()
+    best_rank_of_point = rank_in_image.groupby(table["point"]).min()
+    first_points = best_rank_of_point.sort_values(kind="stable").index[:most]
     return table[table["point"].isin(first_points)]
 
 
 def _few_rays_a_point(table: pd.DataFrame) -> pd.DataFrame:
-    """Up to four rows of each point, drawn at random with a fixed seed, in the order they had."""
+    """Up to four rows of each point, drawn at random with a fixed seed; their order is kept."""
     shuffled = table.sample(frac=1.0, random_state=0)
     is_drawn = shuffled.groupby("point").cumcount() < _MOST_RAYS
     return table[is_drawn.reindex(table.index)]
@@ -125,38 +131,40 @@ def tie_rays(
     cameras: Mapping[str, Camera],
     axes: Mapping[str, str] | None = None,
 ) -> ImageRays:
-    """The rays of tie points that two or more of some images show, and their given heights.
+    """The rays of the tie points that two or more of the images show, with their stated heights.
 
-    ``image`` and ``camera_of`` (k,) name the images, to whose rows the rays refer, and their
-    cameras; ``axes`` are those of a camera's pixels, x and y ``exchanged`` or y ``upward``, where
-    they are not as stated. The rays are apparent ones (see `straightened`).
+    ``image`` (k,) are names of images, and ``camera_of`` (k,) those of their cameras; the rays
+    refer to indices into these. ``cameras`` are the interior orientations by name. ``axes`` : name
+    of a camera -> how its pixels are read instead of as stated, x and y ``exchanged`` or y
+    ``upward``. The rays are unit vectors in the frame of the camera, with a sigma [rad] of one
+    pixel; refraction is not removed from them (see `straightened`).
     """
-    row_of_name = {name: row for row, name in enumerate(image.tolist())}
-    row_of_image = [row_of_name.get(name, -1) for name in ties.images]
-    row = np.array(row_of_image, np.int64)[ties.image]
-    direction = np.full((row.size, 3), np.nan)
-    sigma = np.full(row.size, np.nan)
+    index_of_name = {name: index for index, name in enumerate(image.tolist())}
+    index_of_image = [index_of_name.get(name, -1) for name in ties.images]
+    index = np.array(index_of_image, np.int64)[ties.image]  # of each ray's image, -1 if not given
+    direction = np.full((index.size, 3), np.nan)
+    sigma_rad = np.full(index.size, np.nan)
     for name, camera in cameras.items():
-        # The last element, to which -1 points, stands for images that are not among these.
+        # The last element is for index -1.
         is_of_camera = np.append(camera_of == name, False)
-        points_of_camera = np.flatnonzero(is_of_camera[row])
-        direction[points_of_camera] = camera_directions(
+        rays_of_camera = np.flatnonzero(is_of_camera[index])
+        direction[rays_of_camera] = camera_directions(
             camera,
-            ties.x_px[points_of_camera],
-            ties.y_px[points_of_camera],
+            ties.x_px[rays_of_camera],
+            ties.y_px[rays_of_camera],
             axes.get(name) if axes else None,
         )
-        sigma[points_of_camera] = 1.0 / camera.fx_px
-    seen = np.flatnonzero(np.isfinite(sigma))
-    rays_of_point = np.bincount(ties.point[seen], minlength=1)
-    seen = seen[rays_of_point[ties.point[seen]] > 1]
-    length = np.linalg.norm(direction[seen], axis=1)
+        sigma_rad[rays_of_camera] = 1.0 / camera.fx_px
+    usable = np.flatnonzero(np.isfinite(sigma_rad))
+    rays_of_point = np.bincount(ties.point[usable], minlength=1)
+    usable = usable[rays_of_point[ties.point[usable]] > 1]
+    length = np.linalg.norm(direction[usable], axis=1)
     return ImageRays(
-        row[seen],
-        ties.point[seen],
-        direction[seen] / length[:, None],
-        sigma[seen],
-        ties.ground[seen],
+        index[usable],
+        ties.point[usable],
+        direction[usable] / length[:, None],
+        sigma_rad[usable],
+        ties.ground[usable],
     )
 
 
@@ -166,7 +174,11 @@ def camera_directions(
     y_px: Array,
     axes: str | None,
 ) -> Array:
-    """(n, 3) directions (u, v, 1) of pixels; ``axes`` as `tie_rays` takes them for one camera."""
+    """(n, 3) directions (u, v, 1) of pixels (n,) in the frame of the camera, without distortion.
+
+    ``axes`` : None if the pixels are as stated, ``exchanged`` if x is y, ``upward`` if y counts
+    from the lower edge of the image.
+    """
     if axes == "upward":
         y_px = camera.height_px - y_px
     elif axes == "exchanged":

@@ -1,4 +1,4 @@
-"""Fields of a weather model in xarray's datasets: which is which, their levels, times and grid."""
+"""Fields of a weather model in xarray's datasets: their quantities, levels, times and grid."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -14,10 +14,11 @@ from unbend.units import HECTOPASCAL, Array, Integers
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
+# Names of dimensions and coordinates, in lower case.
 LATITUDE = ("latitude", "lat")
 LONGITUDE = ("longitude", "lon")
 MEMBERS = ("number", "member", "realization", "ensemble")
-VERSIONS = ("expver",)
+VERSIONS = ("expver",)  # ERA5: final data, and preliminary data of the last months
 TIMES = ("valid_time", "time")
 LAT_LON_GRID = "latitude-longitude"
 QUANTITIES = {
@@ -28,18 +29,18 @@ QUANTITIES = {
     "surface geopotential": {"z", "orog", "surface_geopotential"},
     "log surface pressure": {"lnsp"},
 }
-"""What fields of a quantity are called."""
+"""Quantity -> names of its field, in netCDF, CF or GRIB."""
 
-_RUNS = ("forecast_reference_time", "reftime")
+_RUN_TIMES = ("forecast_reference_time", "reftime")
 _MODEL_LEVELS = ("hybrid", "model_level")
-_OF_MODEL = re.compile("model|hybrid|sigma")
+_WORDS_OF_MODEL_LEVELS = re.compile("model|hybrid|sigma")
 _LEVELS = ("level", "pressure_level", "plev", "lev", *_MODEL_LEVELS)
 _LEVEL = re.compile(rf"isobaric|({'|'.join(_LEVELS)})$")
 _HECTOPASCALS = ("hpa", "millibars", "millibar", "mbar", "mb")
-_MOST_HECTOPASCALS = 2000.0  # a larger number without a unit is one of pascals
-_LAT_LON_NAMES = (None, "regular_ll", "regular_gg", "latitude_longitude")
+_MOST_HECTOPASCALS = 2000.0  # levels without a unit and larger numbers are in pascals
+_LAT_LON_NAMES = (None, "regular_ll", "regular_gg", "latitude_longitude")  # of grids; None: unnamed
 
-# Models reach back to 1806 at most, and nanoseconds since 1970 end in 2262.
+# Reanalyses reach back to 1806 at most, and nanoseconds since 1970 end in 2262.
 EARLIEST_TIME = np.datetime64("1800-01-01")
 LATEST_TIME = np.datetime64("2200-01-01")
 LONGEST_LEAD = np.timedelta64(3650, "D")  # of a forecast: those of seasons take months
@@ -47,7 +48,7 @@ _HOUR = np.timedelta64(1, "h")
 
 
 def dimension_of(field: "DataArray", names: Sequence[str]) -> str | None:
-    """The dimension of a field that has one of some names."""
+    """The dimension of a field with one of the ``names`` (in lower case), or None."""
     for dimension in field.dims:
         if str(dimension).lower() in names:
             return str(dimension)
@@ -56,7 +57,10 @@ def dimension_of(field: "DataArray", names: Sequence[str]) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class FieldLevels:
-    """The levels of a field: its dimension, (l,) numbers or pressures [Pa], and which they are."""
+    """The levels of a field: the name of their dimension, and their values (l,).
+
+    The values are numbers of model levels if ``of_model``, else pressures [Pa].
+    """
 
     name: str
     values: Array
@@ -64,7 +68,7 @@ class FieldLevels:
 
 
 def levels_of(field: "DataArray") -> FieldLevels | None:
-    """The levels of a field, None where it is that of one level."""
+    """The levels of a field, None without a dimension of levels; pressures become pascals."""
     dimensions = [str(name) for name in field.dims if _LEVEL.match(str(name).lower())]
     if not dimensions or dimensions[0] not in field.coords:
         return None
@@ -72,7 +76,7 @@ def levels_of(field: "DataArray") -> FieldLevels | None:
     attributes = {key: str(text).lower() for key, text in field[name].attrs.items()}
     values = np.asarray(field[name].values, np.float64)
     words = attributes.get("long_name", "") + attributes.get("standard_name", "")
-    of_model = name.lower() in _MODEL_LEVELS or bool(_OF_MODEL.search(words))
+    of_model = name.lower() in _MODEL_LEVELS or bool(_WORDS_OF_MODEL_LEVELS.search(words))
     usual_unit = "hpa" if values.max() < _MOST_HECTOPASCALS else "pa"
     unit = attributes.get("units", usual_unit)
     if not of_model and unit in _HECTOPASCALS:
@@ -81,18 +85,19 @@ def levels_of(field: "DataArray") -> FieldLevels | None:
 
 
 def find_field(datasets: "Sequence[Dataset]", quantity: str) -> "DataArray | None":
-    """The field of one of `QUANTITIES`, of the surface or on levels.
+    """The field of one of `QUANTITIES`: on levels, or at the surface if its name contains that.
 
-    Of several the one with most levels: GRIB has those above 1 hPa apart.
+    None without such a field. Of several fields on levels it is the one with the most levels: in
+    GRIB files, the levels above 1 hPa are a separate field.
     """
     with_most_levels: DataArray | None = None
     most_levels = 0
     for field in _fields_called(datasets, QUANTITIES[quantity]):
         levels = levels_of(field)
         if "surface" in quantity:
-            of_surface = _at_surface(field, levels)
-            if of_surface is not None:
-                return of_surface
+            surface_field = _at_surface(field, levels)
+            if surface_field is not None:
+                return surface_field
         elif levels is not None and levels.values.size > most_levels:
             with_most_levels = field
             most_levels = levels.values.size
@@ -103,7 +108,7 @@ def _fields_called(
     datasets: "Sequence[Dataset]",
     names: set[str],
 ) -> "Iterator[DataArray]":
-    """The fields that have one of some names."""
+    """The fields that have one of the ``names``."""
     for dataset in datasets:
         for name, field in dataset.data_vars.items():
             if _names_of(field, str(name)) & names:
@@ -111,9 +116,9 @@ def _fields_called(
 
 
 def _at_surface(field: "DataArray", levels: FieldLevels | None) -> "DataArray | None":
-    """A field at the surface, None if it is of other levels.
+    """A field at the surface, without a dimension of levels; None if it is on pressure levels.
 
-    Of model levels that is the first: lnsp and z mean something there only.
+    On model levels it is the first one: ECMWF stores lnsp and z of the surface there.
     """
     if levels is None:
         return field if _kind_of_level(field) in ("surface", "hybrid") else None
@@ -124,7 +129,10 @@ def _at_surface(field: "DataArray", levels: FieldLevels | None) -> "DataArray | 
 
 
 def _names_of(field: "DataArray", name: str) -> set[str | None]:
-    """What a field is called: its name without the kind of level, and the names it states."""
+    """All names of a field: its name in the dataset, and those in its attributes, or None.
+
+    The kind of level is cut off: "t_isobaric" becomes "t".
+    """
     short_name = name.lower().split("_isobaric")[0]
     return {
         short_name,
@@ -134,14 +142,17 @@ def _names_of(field: "DataArray", name: str) -> set[str | None]:
 
 
 def _kind_of_level(field: "DataArray") -> str:
-    """The kind of level of a field that has one level, as GRIB calls it."""
+    """GRIB's name for the level of a field with one level, for example "surface"."""
     has_level = any(str(name).lower() in _LEVELS for name in field.coords)
     return str(field.attrs.get("GRIB_typeOfLevel", "level" if has_level else "surface"))
 
 
 @dataclass(frozen=True, eq=False)
 class FieldTimes:
-    """The dimension of time, the times (t,) [Unix ns], and hours (t,) since each run began."""
+    """The dimension of time, the times (t,) [Unix ns], and hours (t,) since each run began.
+
+    ``dimension`` is None for a field with a single time and no such dimension.
+    """
 
     dimension: str | None
     time_ns: Integers
@@ -149,9 +160,9 @@ class FieldTimes:
 
 
 def times_of(field: "DataArray", where: str) -> FieldTimes:
-    """The times of a field.
+    """The times for which a field is valid, and how far each is a forecast.
 
-    Refuses (MODEL-TIME) fields without a time that can be read, and times that no model has.
+    Refuses (MODEL-TIME) fields without a readable time, and impossible times.
     """
     dimension = _time_dimension(field, where)
     stamps = _stamps_of(field, dimension, where)
@@ -159,11 +170,11 @@ def times_of(field: "DataArray", where: str) -> FieldTimes:
     if "step" in field.coords and field["step"].dtype.kind == "m":
         step = possible_steps(np.atleast_1d(field["step"].values), where)
         lead_h = lead_h + step / _HOUR
-        if "valid_time" not in field.coords:  # these times are those of the run
+        if "valid_time" not in field.coords:  # then the times are when the run began
             stamps = stamps + step
-    for run in _RUNS:
-        if run in field.coords:
-            begin = possible_times(np.atleast_1d(field[run].values), where)
+    for name in _RUN_TIMES:
+        if name in field.coords:
+            begin = possible_times(np.atleast_1d(field[name].values), where)
             lead_h = (stamps - begin) / _HOUR
     return FieldTimes(
         dimension,
@@ -173,7 +184,10 @@ def times_of(field: "DataArray", where: str) -> FieldTimes:
 
 
 def _time_dimension(field: "DataArray", where: str) -> str | None:
-    """The dimension of several times, or of one; refuses runs and steps at once."""
+    """The dimension of times or forecast steps, None without one.
+
+    Refuses a field with two such dimensions of several values, which is of several runs.
+    """
     several = []
     for name in field.dims:
         is_time = name in field.coords and field[name].dtype.kind in "mM"
@@ -195,7 +209,10 @@ def _stamps_of(
     dimension: str | None,
     where: str,
 ) -> NDArray[Any]:
-    """The times of a field or, without valid times, of its runs; refuses a field without."""
+    """The times (t,) along a dimension, or one time if that is None, as datetime64.
+
+    Valid times are preferred; else they are when the run began. Refuses a field without times.
+    """
     names = [name for name in ("valid_time", dimension, "time") if name in field.coords]
     stamps = np.atleast_1d(field[names[0]].values) if names else np.empty(0)
     count = 1 if dimension is None else field.sizes[dimension]
@@ -205,9 +222,10 @@ def _stamps_of(
 
 
 def possible_times(stamps: NDArray[Any], where: str) -> NDArray[Any]:
-    """Times in nanoseconds; refuses those that no model has, and none at all (NaT).
+    """Times of any unit in nanoseconds; refuses NaT and times before 1800 or after 2200.
 
-    Compared in their own unit: numpy turns what nanoseconds do not hold into any other time.
+    They are compared before the conversion, because numpy converts times beyond the range of
+    nanoseconds to arbitrary other times.
     """
     is_time = stamps.dtype.kind == "M"
     if is_time:
@@ -220,7 +238,7 @@ def possible_times(stamps: NDArray[Any], where: str) -> NDArray[Any]:
 
 
 def possible_steps(steps: NDArray[Any], where: str) -> NDArray[Any]:
-    """Times since a run began in nanoseconds; refuses those of no forecast."""
+    """Times since a run began, in nanoseconds; refuses more than ten years, and NaT."""
     longest = LONGEST_LEAD.astype(steps.dtype)
     is_step = (steps >= -longest) & (steps <= longest)
     if not bool(is_step.all()):
@@ -229,12 +247,12 @@ def possible_steps(steps: NDArray[Any], where: str) -> NDArray[Any]:
 
 
 def minutes_of(time_ns: Integers) -> NDArray[np.datetime64]:
-    """Times [Unix ns] in minutes, as they are shown."""
+    """Times [Unix ns] as datetime64 in minutes, for texts."""
     return time_ns.astype("datetime64[ns]").astype("datetime64[m]")
 
 
 def grid_name(datasets: "Sequence[Dataset]", field: "DataArray") -> str:
-    """Which grid a field is on: latitude-longitude, or as GRIB or CF call another."""
+    """The grid of a field: `LAT_LON_GRID`, or the name that GRIB or CF give it."""
     grid_type = field.attrs.get("GRIB_gridType") or _grid_mapping(datasets)
     has_axes = dimension_of(field, LATITUDE) and dimension_of(field, LONGITUDE)
     if has_axes and grid_type in _LAT_LON_NAMES:
@@ -244,7 +262,7 @@ def grid_name(datasets: "Sequence[Dataset]", field: "DataArray") -> str:
 
 
 def _grid_mapping(datasets: "Sequence[Dataset]") -> str | None:
-    """The first grid mapping (CF) that a dataset names."""
+    """The name of the first grid mapping (CF) in the datasets, None without any."""
     for dataset in datasets:
         for variable in dataset.variables.values():
             name = variable.attrs.get("grid_mapping_name")

@@ -1,4 +1,4 @@
-"""A file of a weather model, netCDF or GRIB: opening it, and what it holds.
+"""A file of a weather model, netCDF or GRIB: opening it, and listing its contents.
 
 The only module that imports xarray, and pyproj before it: loaded after ecCodes, pyproj crashes.
 """
@@ -32,6 +32,7 @@ from unbend.units import HECTOPASCAL
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
+# The first four bytes of a file -> xarray's engine.
 _ENGINES = {b"CDF\x01": "scipy", b"CDF\x02": "scipy", b"\x89HDF": "h5netcdf", b"GRIB": "cfgrib"}
 _READERS = ("xarray", "scipy", "h5netcdf", "h5py", "cfgrib", "eccodes", "gribapi")
 _FORMATS = {"scipy": "netCDF classic", "h5netcdf": "netCDF-4", "cfgrib": "GRIB"}
@@ -41,11 +42,11 @@ _GRIB_END = b"7777"
 _LEAST_SECTION = 5  # bytes: its length and its number
 _BEGIN_OF_SECTION = 10  # bytes, in which both editions state the size of their grid
 _GRID_FOLLOWS = 0x80  # bit of the eighth byte of the first section, of edition 1
-_MISSING = 0xFFFF  # a number of two bytes that is not stated
+_MISSING = 0xFFFF  # two bytes that mean "not stated"
 MOST_GRID_POINTS = 50_000_000
-"""Of a field: the global models of 9 km have 6.6 million. A field of equal values has some hundred
-bytes, whatever number of points it states, and ecCodes makes room for all of them."""
-_LONG_MESSAGE = 0x800000  # bit of the length of ECMWF's messages of edition 1 that count otherwise
+"""Of a field: the global models of 9 km have 6.6 million. A damaged field of equal values can state
+any number of points in some hundred bytes, and ecCodes allocates memory for all of them."""
+_LONG_MESSAGE = 0x800000  # bit of the length in edition 1: ECMWF's long messages count otherwise
 
 
 def is_model_file(path: Path) -> bool:
@@ -57,19 +58,23 @@ def is_model_file(path: Path) -> bool:
 
 @contextmanager
 def open_datasets(path: Path) -> "Iterator[tuple[list[Dataset], str]]":
-    """The file as xarray's datasets, and its format; GRIB has one for each kind of level."""
+    """Open a file as xarray's datasets, and name its format; they are closed at the end.
+
+    netCDF is one dataset, GRIB one for each kind of level. Refuses (InputError) damaged files, also
+    when the damage is met while values are read in the ``with`` block.
+    """
     engine = _engine_of(path)
     _import_readers(path, engine)
     datasets: list[Dataset] = []
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of versions of xarray to come
+            warnings.simplefilter("ignore")  # about changes in later versions of xarray
             datasets += _datasets_of(path, engine)
             yield datasets, _FORMATS[engine]
     except InputError:
         raise
-    except Exception as error:  # of xarray, its engines and ecCodes, by what the damage hit
-        if not _is_of_readers(error):
+    except Exception as error:  # xarray, its engines and ecCodes raise many kinds on damage
+        if not _is_from_readers(error):
             raise
         raise messages.model_unreadable(where=path, why=str(error)[:200]) from None
     finally:
@@ -78,7 +83,7 @@ def open_datasets(path: Path) -> "Iterator[tuple[list[Dataset], str]]":
 
 
 def _engine_of(path: Path) -> str:
-    """Which of xarray's engines reads a file, by its first bytes; refuses what is no model."""
+    """The name of xarray's engine for a file, by its first bytes; refuses other formats."""
     try:
         with path.open("rb") as file:
             head = file.read(4)
@@ -91,7 +96,7 @@ def _engine_of(path: Path) -> str:
 
 
 def _import_readers(path: Path, engine: str) -> None:
-    """Import the packages that read a file; refuses it where one is not installed."""
+    """Import the packages that ``engine`` needs; refuses the file if one is not installed."""
     try:
         import pyproj  # noqa: F401  (before ecCodes)
         import xarray  # noqa: F401
@@ -105,7 +110,10 @@ def _import_readers(path: Path, engine: str) -> None:
 
 
 def _datasets_of(path: Path, engine: str) -> "Sequence[Dataset]":
-    """The datasets of a file, whose readers are imported."""
+    """Open the datasets of a file; refuses damage on which HDF5 or ecCodes hang or crash.
+
+    The packages must have been imported by `_import_readers`.
+    """
     import xarray
 
     if engine == "h5netcdf" and not structure_is_readable(path):
@@ -122,8 +130,8 @@ def _datasets_of(path: Path, engine: str) -> "Sequence[Dataset]":
     return datasets
 
 
-def _is_of_readers(error: Exception) -> bool:
-    """Whether an error was raised, or passed through, in a package that reads files."""
+def _is_from_readers(error: Exception) -> bool:
+    """Whether the traceback of an error passes through one of the `_READERS`."""
     frames = traceback.walk_tb(error.__traceback__)
     modules = set()
     for frame, _ in frames:
@@ -134,7 +142,7 @@ def _is_of_readers(error: Exception) -> bool:
 
 @dataclass(frozen=True)
 class _GribMessage:
-    """A message of a GRIB file: its number from 1, its first byte, its length, its edition."""
+    """A message of a GRIB file: its number from 1, the offset of its first byte, its length."""
 
     number: int
     start: int
@@ -143,10 +151,10 @@ class _GribMessage:
 
 
 def refuse_truncated(path: Path) -> None:
-    """Refuse a GRIB file whose messages or their sections do not end where they say."""
+    """Refuse a GRIB file with a message or section that does not end where its header states."""
     size = path.stat().st_size
     number = 0
-    start = 0
+    start = 0  # the end of the message before
     with path.open("rb") as file:
         while start < size:
             number += 1
@@ -170,7 +178,10 @@ def refuse_truncated(path: Path) -> None:
 
 
 def _next_message(file: IO[bytes], number: int, start: int) -> _GribMessage | None:
-    """The next message from a byte on; None if padding follows, or a length that is not known."""
+    """The next message at or after the byte ``start``, with its ``number``.
+
+    None if only padding follows, or if ecCodes alone can tell the length of the message.
+    """
     file.seek(start)
     padding = file.read(_GRIB_HEAD + _GRIB_PADDING).find(b"GRIB")
     if padding < 0:
@@ -194,11 +205,11 @@ def _refuse_long_sections(
 ) -> None:
     """Refuse sections on which ecCodes crashes, or that fill the memory.
 
-    These are sections that do not end where their message does, and grids of more than
+    These are sections that do not fit into their message, and grids of more than
     `MOST_GRID_POINTS`.
     """
-    offset = message.start + 8
-    bytes_of_size = 3
+    offset = message.start + 8  # edition 1: 8 bytes before the first section
+    bytes_of_size = 3  # at the start of a section
     if message.is_second_edition:
         offset = message.start + _GRIB_HEAD
         bytes_of_size = 4
@@ -223,15 +234,19 @@ def _refuse_long_sections(
 
 
 def _points_of_second_edition(section: bytes) -> int:
-    """The grid points that a section of edition 2 states; 0 if it does not define the grid."""
+    """How many grid points a section of edition 2 states; 0 if it does not define the grid.
+
+    ``section`` are its first bytes: WMO FM 92 GRIB 2, section 3, octets 7 to 10.
+    """
     is_grid = section[4] == 3
     return int.from_bytes(section[6:10], "big") if is_grid else 0
 
 
 def _points_of_first_edition(sections: list[bytes]) -> int:
-    """The grid points that the last of some sections of edition 1 states.
+    """How many grid points the last section so far states, in edition 1; 0 if it has no grid.
 
-    0 if it does not define the grid. Only the second one does, where the first one says so.
+    ``sections`` are the first bytes of each section so far. The second one defines the grid if a
+    bit of the first is set.
     """
     if len(sections) != 2:
         return 0
@@ -240,17 +255,18 @@ def _points_of_first_edition(sections: list[bytes]) -> int:
         return 0
     columns = int.from_bytes(grid[6:8], "big")
     rows = int.from_bytes(grid[8:10], "big")
-    if _MISSING in (columns, rows):  # rows of different lengths: the section lists all of them
+    if _MISSING in (columns, rows):  # a reduced grid: the section lists the length of each row
         return 0
     return columns * rows
 
 
 def contents_of(path: Path) -> dict[str, Any]:
-    """What a file of a weather model holds, for `unbend inspect`: nothing is judged.
+    """The contents of a weather model's file for `unbend inspect`, without checks.
 
-    Keys: format, grid, variables (name, long_name, units, levels), and of the temperature on
-    levels level_kind (pressure | model), levels [hPa, or number], times_utc, lead_h, members,
-    latitude_deg and longitude_deg (from, to, step, count; None on a projected grid).
+    Keys: format, variables (name, long_name, units, levels) and grid, None if there is no
+    temperature on levels. Else more keys describe the temperature: level_kind (pressure | model),
+    levels [hPa, or number], times_utc, lead_h, members, and latitude_deg and longitude_deg (from,
+    to, step, count; None on a projected grid).
     """
     with open_datasets(path) as (datasets, format_name):
         variables = []
@@ -277,7 +293,7 @@ def contents_of(path: Path) -> dict[str, Any]:
 
 
 def _description_of(field: "DataArray") -> dict[str, object]:
-    """Name, number of levels, long name and unit of a field."""
+    """Name, number of levels, long name and unit of a field, as `contents_of` lists them."""
     levels = levels_of(field)
     return {
         "name": str(field.name),
@@ -288,7 +304,10 @@ def _description_of(field: "DataArray") -> dict[str, object]:
 
 
 def _extent_of(field: "DataArray", names: Sequence[str]) -> dict[str, float] | None:
-    """First and last node of an axis, the least step and the number of nodes, or None."""
+    """Lowest and highest node, smallest step [deg] and number of nodes of an axis.
+
+    ``names`` is LATITUDE or LONGITUDE; None if the field has no such dimension, or no nodes.
+    """
     axis = dimension_of(field, names)
     if axis is None or field[axis].values.size == 0:
         return None

@@ -1,4 +1,4 @@
-"""Results as Arrow tables and Parquet files; stations as GeoParquet.
+"""Converts results to Arrow tables and writes Parquet files; stations are GeoParquet.
 
 Source: OGC GeoParquet 1.1.0; OGC 06-103r4 (well-known binary). In a geometry the longitude comes
 first, whatever the order of the axes in the coordinate reference system.
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def points_wkb(lon_deg: Array, lat_deg: Array, h_ellipsoid_m: Array) -> list[bytes | None]:
-    """(n,) points; without height where that is unknown (NaN), None where there is no position.
+    """Well-known binary of each point; without the height if it is NaN, None without a position.
 
     >>> import numpy as np
     >>> points_wkb(np.array([8.0]), np.array([47.0]), np.array([500.0]))[0].hex()[:10]
@@ -42,6 +42,7 @@ def points_wkb(lon_deg: Array, lat_deg: Array, h_ellipsoid_m: Array) -> list[byt
     """
     points: list[bytes | None] = []
     for lon, lat, h in zip(lon_deg.tolist(), lat_deg.tolist(), h_ellipsoid_m.tolist(), strict=True):
+        # Byte order 1 is little-endian; type 1 is Point and 1001 PointZ. NaN differs from itself.
         if lon != lon or lat != lat:
             points.append(None)
         elif h != h:
@@ -52,25 +53,26 @@ def points_wkb(lon_deg: Array, lat_deg: Array, h_ellipsoid_m: Array) -> list[byt
 
 
 def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
-    """An Arrow table; NaN and NaT become null, None is a column that is null throughout.
+    """An Arrow table with the columns of the schema; NaN and NaT become null.
 
-    A column of the schema that is not in ``columns`` is a KeyError.
+    ``columns`` : name -> values (n,), or None for a column of nulls, which cannot be the first.
+    Other columns than those of the schema are left out; a missing one is a KeyError.
     """
     rows = len(next(iter(columns.values())))
     arrays = []
     for item in schema:
         values = columns[item.name]
-        has_gaps = True
+        has_nan = True
         if isinstance(values, np.ndarray) and values.dtype.kind == "f":
-            # Most columns have no gap, some nothing else: a look takes less than a bit a row.
-            is_missing = np.isnan(values)
-            has_gaps = bool(is_missing.any())
-            if has_gaps and bool(is_missing.all()):
+            # Most columns have no NaN, some only NaN: the test is faster than Arrow's conversion.
+            is_nan = np.isnan(values)
+            has_nan = bool(is_nan.any())
+            if has_nan and bool(is_nan.all()):
                 values = None
         if values is None:
             values = pa.nulls(rows, item.type)
         if not isinstance(values, pa.Array):
-            values = pa.array(values, item.type, from_pandas=has_gaps)
+            values = pa.array(values, item.type, from_pandas=has_nan)
         arrays.append(values)
     return pa.table(arrays, schema=schema)
 
@@ -78,7 +80,11 @@ def table_of(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:
 def table_of_observations(
     batch: Batch, corrections: Corrections, h_g: Any, pixels: PixelSystem, schema: pa.Schema
 ) -> pa.Table:
-    """The output rows of a batch, in the pixel system of the table that it was read from."""
+    """The output rows of a batch, in the pixel system of the table that it was read from.
+
+    ``h_g`` (n,) are ground heights [m]. ``schema`` is that of corrected or of displaced
+    observations: it decides under which names the new pixels are written.
+    """
     x = pixels.from_colmap(corrections.x_corrected_px)
     y = pixels.from_colmap(corrections.y_corrected_px)
     names = pa.array(STATUS_NAMES)
@@ -92,7 +98,7 @@ def table_of_observations(
         "y_px": batch.y_given_px,
         "x_corrected_px": x,
         "y_corrected_px": y,
-        "x_displaced_px": x,  # the schema holds one of the two pairs
+        "x_displaced_px": x,  # the schema contains one of the two pairs
         "y_displaced_px": y,
         "zeta_c_rad": corrections.zeta_c_rad,
         "r_c_rad": corrections.r_c_rad,
@@ -103,11 +109,11 @@ def table_of_observations(
     return table_of(columns | sigmas | batch.users, schema)
 
 
-PROFILE_ID = "flight"  # of the one profile of a flight; of several, flight-001 and so on
+PROFILE_ID = "flight"  # of a single profile; several are flight-001 and so on
 
 
 def profile_ids(series: ProfileSeries) -> list[str]:
-    """Names of the profiles along a flight, in the order of time."""
+    """The ids of the profiles of a flight, in the order of time: flight, or flight-001, ..."""
     count = len(series.timed_profiles)
     if count == 1:
         return [PROFILE_ID]
@@ -115,7 +121,7 @@ def profile_ids(series: ProfileSeries) -> list[str]:
 
 
 def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
-    """``stations.parquet``, which is GeoParquet: points in EPSG:4979."""
+    """The table of ``stations.parquet``, as GeoParquet with points in EPSG:4979."""
     columns = station_columns(stations)
     columns["geometry"] = points_wkb(
         columns["lon_deg"],
@@ -140,7 +146,10 @@ def table_of_stations(stations: Stations, series: ProfileSeries) -> pa.Table:
 
 
 def rows_of_stations(stations: Stations) -> list[dict[str, Any]]:
-    """The stations as rows of ``stations.parquet`` before the air is known, None for null."""
+    """Stations as rows, with the columns of ``stations.parquet`` except geometry and profile.
+
+    None for values that are unknown.
+    """
     columns = station_columns(stations)
     schema = schema_of({name: STATION_COLUMNS[name] for name in columns}, {})
     rows: list[dict[str, Any]] = table_of(columns, schema).to_pylist()
@@ -150,7 +159,10 @@ def rows_of_stations(stations: Stations) -> list[dict[str, Any]]:
 def table_of_profiles(
     adjustment: "Adjustment", series: ProfileSeries, heights: ArrayLike | None = None
 ) -> pa.Table:
-    """``profile.parquet``: the profiles along a flight, one after the other."""
+    """The table of ``profile.parquet``: all profiles of a flight, one after the other.
+
+    ``heights`` (n,) [m above sea level]; None: the edges of each profile's layers.
+    """
     tables = []
     for profile_id, air in zip(profile_ids(series), series.timed_profiles, strict=True):
         tables.append(table_of_profile(adjustment, profile_id, heights, air))
@@ -163,10 +175,11 @@ def table_of_profile(
     heights: ArrayLike | None = None,
     air: TimedProfile | None = None,
 ) -> pa.Table:
-    """A profile as a table: each row's pressure follows from its base values and equation.
+    """A profile as a table, a row a height, with the standard atmosphere at the same heights.
 
-    ``heights`` : (n,) [m above sea level]; by default the edges of the layers. ``air`` : one of
-    several along the flight, in the place of the whole's.
+    The pressure of each row can be computed from its base values and the equation it names.
+    ``heights`` (n,) [m above sea level]; None: the edges of the layers. ``air`` is one of several
+    profiles along the flight; None: that of the whole flight.
     """
     standard = adjustment.standard
     air = air or TimedProfile(adjustment.time_ns, adjustment.profile, adjustment.covariance)
@@ -211,9 +224,10 @@ def table_of_profile(
 
 
 def parquet_settings(schema: pa.Schema) -> dict[str, Any]:
-    """How Parquet is written: dictionaries for all but floats, whose bytes are split by place.
+    """Settings of pyarrow for writing Parquet with a schema.
 
-    A dictionary of measured numbers is longer than they are, and zstd finds nothing in them.
+    Floats are stored with their bytes split into streams, which compress better; measured numbers
+    hardly repeat, so a dictionary of them would be longer. All other columns have dictionaries.
     """
     float_types = (pa.float32(), pa.float64())
     floats = [column.name for column in schema if column.type in float_types]

@@ -1,4 +1,4 @@
-"""The columns of every table that leaves the package: types, units, conventions."""
+"""The columns of all tables that the package writes: types, units, conventions."""
 
 import json
 import tomllib
@@ -11,7 +11,7 @@ import pyarrow as pa
 SCHEMA_VERSION = "1"
 
 Columns = Mapping[str, tuple[pa.DataType, str, str]]
-"""Type, unit and meaning of columns by their names, in their order."""
+"""Name of a column -> its type, unit and meaning, in the order of the table."""
 
 _TYPES = {
     "float64": pa.float64(),
@@ -27,7 +27,7 @@ _TEXTS = tomllib.loads(files("unbend.tables").joinpath("data/columns.toml").read
 
 
 def columns_of(table: str) -> Columns:
-    """The columns of a table: a section of ``data/columns.toml``.
+    """The columns of a table, which is a section of ``data/columns.toml``.
 
     >>> columns_of("profile")["h_m"]
     (DataType(double), 'm', 'height above mean sea level')
@@ -40,12 +40,13 @@ def columns_of(table: str) -> Columns:
 
 
 def _displaced_columns() -> Columns:
+    """The columns of observations, with other names and meanings where the file has these."""
     columns = dict[str, tuple[pa.DataType, str, str]]()
     for name, column in OBSERVATION_COLUMNS.items():
         if name in _TEXTS["displaced"]:
-            new_name, kind, *texts = _TEXTS["displaced"][name]
+            displaced_name, kind, *texts = _TEXTS["displaced"][name]
             unit, meaning = texts
-            columns[new_name] = (_TYPES[kind], unit, meaning)
+            columns[displaced_name] = (_TYPES[kind], unit, meaning)
         else:
             columns[name] = column
     return columns
@@ -55,15 +56,15 @@ OBSERVATION_COLUMNS = columns_of("observations")
 STATION_COLUMNS = columns_of("stations")
 PROFILE_COLUMNS = columns_of("profile")
 DISPLACED_COLUMNS = _displaced_columns()
-"""Those of observations that were displaced, of which some have other names and meanings."""
+"""The columns of observations to which refraction was applied, with pixels called displaced."""
 
 CONVENTIONS: Mapping[str, str] = _TEXTS["conventions"]
 
 
 def schema_of(columns: Columns, extra: Mapping[str, str], users: Iterable[Any] = ()) -> pa.Schema:
-    """An Arrow schema with units and meanings in the fields and conventions in the metadata.
+    """An Arrow schema with units and meanings in the fields, and conventions in the metadata.
 
-    ``extra`` joins the metadata; ``users`` are the user's own columns, after ours.
+    ``extra`` is added to the metadata; ``users`` are the fields of the user's columns, after ours.
     """
     fields = []
     for name, (kind, unit, meaning) in columns.items():

@@ -235,7 +235,7 @@ def test_a_new_file_beside_a_raster_is_a_change(tmp_path):
     before = record_now()
     assert before.mtime_ns is not None
     (tmp_path / "geoid.tif.aux.xml").write_text("<PAMDataset/>")
-    assert not record_now().is_like(before)
+    assert not record_now().is_unchanged_since(before)
 
 
 def test_another_program_knows_nothing(done, monkeypatch):

@@ -306,7 +306,7 @@ def rays_of_control(
     for batch in observations.batches(BATCH_ROWS):
         rows = np.flatnonzero(matching_rows(batch.point, points.name) >= 0)
         if rows.size:
-            parts.append(rays_of_batch(batch.taken(rows), points, images, setup))
+            parts.append(rays_of_batch(batch.subset(rows), points, images, setup))
     if not parts:
         first = next(observations.batches(1)).point[0]
         raise messages.control_missing(

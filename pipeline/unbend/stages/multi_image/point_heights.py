@@ -267,7 +267,7 @@ def batches_with_points(observations: Observations) -> Iterable[Batch]:
     if observations.sample is None:
         return observations.batches(BATCH_ROWS)
     sampled_hashes = np.unique(hashes_of(observations.sampled(points=True).point))
-    return [observations.of_points(lambda hashes: rows_among(hashes, sampled_hashes))]
+    return [observations.rows_of_points(lambda hashes: rows_among(hashes, sampled_hashes))]
 
 
 def write_rays(

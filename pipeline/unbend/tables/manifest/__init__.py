@@ -1,1 +1,1 @@
-"""The manifest of a run: the records that its writers write and all its readers read."""
+"""The manifest of a run: the records of its contents, for the code that writes and reads it."""

@@ -1,6 +1,6 @@
 """Names of the files that a run writes into the folder of its results."""
 
 MANIFEST = "manifest.json"
-"""Written last: it exists only when all that it names does."""
+"""Written last: if it exists, all files that it lists exist."""
 
 REPORT = "report.html"

@@ -11,7 +11,7 @@ MANIFEST_UNREADABLE = Code(
 
 
 def manifest_not_ours(*, path: str) -> StorageError:
-    """The manifest is JSON, but lacks what every manifest of unbend has."""
+    """The manifest is JSON, but lacks values that every manifest of unbend has."""
     return StorageError(
         MANIFEST_UNREADABLE,
         "manifest.json was not written by unbend",

@@ -1,7 +1,7 @@
-"""What the manifest of a run says of its results: records that the stages write and others read.
+"""The results of a run in its manifest: records that the stages write and reports read.
 
-Numbers are rounded to what they are worth; None is what is not known. ``row()`` is the record as
-plain values, under the names of its fields.
+Numbers are rounded to their significant digits; None is unknown. ``row()`` is a record as plain
+values, under the names of its fields.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # scipy, which commands on one ray do not need
 
 @dataclass(frozen=True)
 class LogRecord:
-    """The log that was decoded: messages by type, what was damaged, and what its time rests on."""
+    """The decoded log: messages by type, how much was damaged, and the source of its time."""
 
     format: str
     messages: Mapping[str, int]
@@ -33,11 +33,11 @@ class LogRecord:
 
 @dataclass(frozen=True)
 class FlownCamera:
-    """A camera at its exposures; spreads are lowest, median and highest.
+    """A camera at its exposures.
 
-    ``nadir_px`` is the pixel of the nadir for the median axis, None where it is not in view.
-    Pixels count from the corner of the upper left one. ``principal_point_px`` is None in runs of
-    versions that did not write it.
+    ``height_above_ground_m`` is [lowest, median, highest]. ``nadir_px`` is the pixel of the nadir
+    for the median of the camera axis, None if it is outside the image. Pixels count from the outer
+    corner of the upper left one. ``principal_point_px`` is None in runs of older versions.
     """
 
     exposures: int
@@ -51,7 +51,7 @@ class FlownCamera:
 
 @dataclass(frozen=True)
 class FlightRecord:
-    """When and where the exposures are; spreads are lowest, median and highest."""
+    """Times and places of the exposures; places as [lowest, median, highest]."""
 
     begin_utc: str | None
     end_utc: str | None
@@ -63,7 +63,7 @@ class FlightRecord:
 
 @dataclass(frozen=True)
 class GroundReference:
-    """What ground heights count from, and the coordinate system of a table of points."""
+    """The reference of the ground heights, and the coordinate system of a table of points."""
 
     reference: str
     crs: str | None
@@ -71,7 +71,7 @@ class GroundReference:
 
 @dataclass(frozen=True)
 class UndulationRecord:
-    """Where undulations come from, and their limits at the stations [m]."""
+    """The source of the geoid undulations, and their lowest and highest at the stations [m]."""
 
     source: str
     min_m: float | None
@@ -80,7 +80,10 @@ class UndulationRecord:
 
 @dataclass(frozen=True)
 class DeflectionRecord:
-    """The deflection of the vertical by a geoid, in the median of the stations."""
+    """The deflection of the vertical by a geoid, as the median of the stations.
+
+    ``applies`` is True if the attitudes refer to the vertical, as those of a log do.
+    """
 
     geoid: str | None
     north_arcsec: float | None
@@ -90,7 +93,7 @@ class DeflectionRecord:
 
 @dataclass(frozen=True)
 class HeightsRecord:
-    """What all heights count from, what relates them, and how the vertical leans there."""
+    """The references of all heights, the undulation that relates them, and the deflection."""
 
     all: str
     log: list[str]
@@ -103,7 +106,7 @@ class HeightsRecord:
 
 @dataclass(frozen=True)
 class SensorRecord:
-    """An error of a sensor that was estimated, with its sigma and the one that is usual."""
+    """An estimated error of a sensor, its sigma, and the sigma that is usual for such a sensor."""
 
     what: str
     value: float
@@ -113,7 +116,11 @@ class SensorRecord:
 
 @dataclass(frozen=True)
 class TimeWindowRecord:
-    """A part of a flight estimated on its own: change and sigma of R against that of the flight."""
+    """A part of a flight with a separate estimate of the air.
+
+    ``change`` is that of R as a share of R of the whole flight, with its ``sigma``; ``why_not`` is
+    empty if the part gets a profile, else the reason.
+    """
 
     start_utc: str | None
     end_utc: str | None
@@ -124,7 +131,10 @@ class TimeWindowRecord:
 
 @dataclass(frozen=True)
 class EffectRecord:
-    """R of one ray in the air of the flight, and beside that in the standard; sigma if known."""
+    """R of one ray in the air of the flight and in the standard atmosphere.
+
+    ``factor`` is the ratio of the two. Sigmas are None if they are unknown.
+    """
 
     nadir_angle_deg: float
     h_c_m: float
@@ -137,7 +147,7 @@ class EffectRecord:
 
     @classmethod
     def of(cls, effect: Effect) -> EffectRecord:
-        """The record of an effect."""
+        """The record of an effect, with rounded numbers."""
         is_sigma_known = math.isfinite(effect.sigma_rad)
         return cls(
             nadir_angle_deg=effect.nadir_deg,
@@ -153,7 +163,7 @@ class EffectRecord:
 
 @dataclass(frozen=True)
 class FittedSource:
-    """A source of the air that the estimate was fitted to, and how it fits."""
+    """A source of measurements that the estimate of the air was fitted to, and how well it fits."""
 
     source: str
     used: bool
@@ -166,7 +176,7 @@ class FittedSource:
 
 @dataclass(frozen=True)
 class OtherSource:
-    """A source of the air that was used as it is, or why it was not used."""
+    """A source of the air that was used without a fit, or the reason why it was not used."""
 
     source: str
     used: bool
@@ -175,7 +185,7 @@ class OtherSource:
 
 @dataclass(frozen=True)
 class SamplesRecord:
-    """How many samples of a sensor were used; the others by the reason, in words."""
+    """How many samples of a sensor were used, and how many were rejected for each reason."""
 
     sensor: str
     quantity: str
@@ -205,7 +215,7 @@ class ProfileRecord:
 
 @dataclass(frozen=True)
 class ObservationsRecord:
-    """Rows and parts of the observations, rows by status, and likely causes of statuses."""
+    """Numbers of rows and parts of the observations, rows by status, and causes by status."""
 
     rows: int
     parts: int
@@ -215,7 +225,7 @@ class ObservationsRecord:
 
 @dataclass(frozen=True)
 class DistributionRecord:
-    """A distribution of magnitudes."""
+    """Quantiles of the magnitudes of some values; None if there are no values."""
 
     count: int
     median: float | None
@@ -225,7 +235,7 @@ class DistributionRecord:
 
 @dataclass(frozen=True)
 class HistogramRecord:
-    """Counts in bins from zero."""
+    """Counts in bins of the width ``step``, the first from zero on."""
 
     step: float
     counts: list[int]
@@ -233,7 +243,10 @@ class HistogramRecord:
 
 @dataclass(frozen=True)
 class ShiftField:
-    """The mean shift (dx, dy) in cells of an image by their centres (x, y) [px]."""
+    """The mean shift (dx, dy) [px] of the observations in each cell of an image.
+
+    (x, y) [px] are the centres of the cells; a row has ``columns`` cells.
+    """
 
     format_px: list[int]
     columns: int
@@ -245,7 +258,7 @@ class ShiftField:
 
 @dataclass(frozen=True)
 class CameraShifts:
-    """How large the correction was in a camera's images."""
+    """The size of the correction in the images of a camera."""
 
     shift_px: DistributionRecord
     shift_ground_m: DistributionRecord
@@ -258,7 +271,7 @@ class CameraShifts:
 
 @dataclass(frozen=True)
 class CorrectionRecord:
-    """How large the correction was, over all and camera by camera."""
+    """The size of the correction, for all observations and for each camera."""
 
     shift_px: DistributionRecord
     shift_ground_m: DistributionRecord
@@ -269,7 +282,7 @@ class CorrectionRecord:
 
 @dataclass(frozen=True)
 class Quantiles:
-    """The median of sampled rows, and what 95 % of them do not exceed."""
+    """The median and the 95th percentile of sampled rows."""
 
     median: float | None
     p95: float | None
@@ -285,7 +298,7 @@ class SigmaRecord:
 
 @dataclass(frozen=True)
 class GroundHistogram:
-    """Counts of ground heights in bins from the first one on."""
+    """Counts of ground heights in bins of the width ``step``, the first from ``first_m`` on."""
 
     first_m: float
     step: float
@@ -294,7 +307,7 @@ class GroundHistogram:
 
 @dataclass(frozen=True)
 class GroundHeightsRecord:
-    """Limits of all ground heights [m above sea level], median and histogram of sampled ones."""
+    """The range of all ground heights [m above sea level], median and histogram of a sample."""
 
     median_m: float | None
     lowest_m: float
@@ -314,7 +327,7 @@ class AirParameter:
 
 @dataclass(frozen=True)
 class CabinParameter:
-    """The refractivity in a cabin, and its standard deviation."""
+    """The refractivity of the air in a cabin, and its standard deviation, None if unknown."""
 
     n_cc: float
     sigma_n_cc: float | None
@@ -322,12 +335,13 @@ class CabinParameter:
 
 @dataclass(frozen=True)
 class CameraAirRecord:
-    """The light of a camera, and what the air before and in its lens does.
+    """The wavelength of a camera, and the effects of the air in front of and in its lens.
 
-    ``before_lens`` is outside, window or opening; ``kelvin_share`` the part of R at 45 degrees that
-    1 K there is. ``lens_ppm`` is the change of the principal distance by the air in the lens, with
-    its standard deviation where it is that of a typical lens; ``lens_height_m`` and
-    ``lens_edge_px`` are its size in heights, and at the corners of the image.
+    ``before_lens`` is outside, window or opening; ``kelvin_share`` is the deflection by air there
+    that is 1 K warmer, divided by R, both at 45 degrees. ``lens_ppm`` is the change of the principal distance
+    by the air in the lens; ``lens_sigma_ppm`` is known only for a typical lens.
+    ``lens_height_m`` and ``lens_edge_px`` are the effects of this change on heights, and at the
+    corners of the image. ``lens_removed``: whether the corrections remove it.
     """
 
     before_lens: str
@@ -343,7 +357,10 @@ class CameraAirRecord:
 
 @dataclass(frozen=True)
 class ControlPoint:
-    """A control point: intersected minus given place, east, north, up [m]."""
+    """A control point: intersected minus stated position, [east, north, up] in metres.
+
+    ``before_m`` is from measured and ``after_m`` from corrected observations.
+    """
 
     point: str
     rays: int
@@ -354,7 +371,11 @@ class ControlPoint:
 
 @dataclass(frozen=True)
 class ControlRecord:
-    """Control points before and after the correction [m]: each one, root mean squares, means."""
+    """Control points before and after the correction, with root mean squares and means.
+
+    Vectors are [east, north, up] in metres. ``rms_refraction_m`` is by how much the correction
+    moves the points, ``part_explained`` the share of the mean square residual that it removes.
+    """
 
     points: list[ControlPoint]
     used: int
@@ -370,7 +391,7 @@ class ControlRecord:
 
 @dataclass(frozen=True)
 class ResultsRecord:
-    """All that the manifest says of the results of a mission."""
+    """All results of a mission that the manifest contains."""
 
     log: LogRecord | None
     channels: Mapping[str, str]

@@ -1,4 +1,4 @@
-"""Which run a manifest is of: its mission file, its inputs, versions and files of results."""
+"""The run that a manifest describes: its mission file, inputs, versions and files of results."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 MANIFEST_VERSION = 2
-"""Since 2 a message of the ledger has its ``values`` beside its text ``what``."""
+"""In version 2, a message of the ledger has ``values`` in addition to its text ``what``."""
 
 
 @dataclass(frozen=True)
 class OutputRecord:
-    """A file of the results: its name in their folder, and what it holds."""
+    """A file of the results: its name in their folder, the hash of its content, and its size."""
 
     name: str
     sha256: str
@@ -21,11 +21,12 @@ class OutputRecord:
 
 @dataclass(frozen=True)
 class InputRecord:
-    """An input: what it held, and what shows without reading that it still does.
+    """An input: the hash of its content, and values that show a change without reading it again.
 
-    ``bytes`` and ``mtime_ns`` of its files: their sum, and the newest. ``mtime_ns`` is None where
-    a file had changed so shortly before that a later change need not show. ``version`` is a hash
-    of names, sizes and times of several files, or the version of objects in storage.
+    ``bytes`` is the sum over its files, ``mtime_ns`` the newest time of change. ``mtime_ns`` is
+    None if a file had changed so recently that a later change could have the same time.
+    ``version`` is a hash of names, sizes and times of several files, or the version of objects in
+    storage.
     """
 
     role: str
@@ -36,11 +37,14 @@ class InputRecord:
     version: str = ""
 
     def with_hash(self, sha256: str) -> InputRecord:
-        """The record with the hash of its content."""
+        """A copy of the record with the hash of its content."""
         return replace(self, sha256=sha256)
 
-    def is_like(self, other: InputRecord | None) -> bool:
-        """Whether another record is of the same files, unchanged by size and time."""
+    def is_unchanged_since(self, other: InputRecord | None) -> bool:
+        """Whether an earlier record is of the same files, with the same size, time and version.
+
+        False without a record, and if ``mtime_ns`` is None, so that no change could be seen.
+        """
         return (
             other is not None
             and self.mtime_ns is not None
@@ -51,7 +55,7 @@ class InputRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """Which run a manifest is of. What an older version did not write is empty."""
+    """The values that identify a run; values that an older version did not write are empty."""
 
     manifest_version: int = 0
     mission: str
@@ -68,9 +72,9 @@ class Identity:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord(Identity):
-    """Which run a manifest is of, how it ended, and its files, none before it has finished.
+    """The identity of a run, how it ended, and its files; no files before it has finished.
 
-    ``attempt`` is empty but where the run is published at a URL.
+    ``attempt`` is the id of a run that is published at a URL, else empty.
     """
 
     exit_code: int

@@ -1,7 +1,7 @@
-"""What reports say of a mission file, from the copy of it in a manifest.
+"""The keys of a mission file that reports use, read from the copy of the file in a manifest.
 
-`unbend.config` describes a mission file and writes that copy. An older version may have written it,
-with keys that are no longer known: here are only the keys that somebody reads.
+`unbend.config` defines all keys and writes that copy. An older version may have written it, with
+keys that no longer exist: these records contain only the keys that are read.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class CabinKeys:
-    """What a mission file states of the air in a cabin."""
+    """The air in a cabin: numbers, ``log``, ``ambient``, or None for what is not stated."""
 
     pressure: float | str | None
     temperature_c: float | str | None
@@ -21,7 +21,7 @@ class CabinKeys:
 
 @dataclass(frozen=True)
 class WindowKeys:
-    """What a mission file says of the window before a camera."""
+    """The window in front of a camera, and the air behind it."""
 
     shape: str
     in_calibration: str
@@ -30,7 +30,7 @@ class WindowKeys:
 
 @dataclass(frozen=True)
 class CameraKeys:
-    """What a mission file says of a camera, beside its interior orientation."""
+    """A camera's window or opening, and the reference of its principal distance."""
 
     principal_distance: Mapping[str, Any] | None
     window: WindowKeys | None
@@ -39,7 +39,7 @@ class CameraKeys:
 
 @dataclass(frozen=True)
 class RefractionKeys:
-    """Which way observations are moved, and by which method."""
+    """Whether refraction is removed or applied (``direction``), and by which method."""
 
     direction: str
     method: str
@@ -47,7 +47,7 @@ class RefractionKeys:
 
 @dataclass(frozen=True)
 class StationsKeys:
-    """Whether suspect stations are used, and the orientations, if there are any."""
+    """Whether suspect stations are used, and the table of orientations, None without one."""
 
     use_suspect: bool
     orientation: Mapping[str, Any] | None = None
@@ -55,7 +55,7 @@ class StationsKeys:
 
 @dataclass(frozen=True)
 class MissionKeys:
-    """What a mission file says for the first page of the report; older ones say nothing."""
+    """Texts for the first page of the report; None in mission files without them."""
 
     title: str | None = None
     client: str | None = None
@@ -67,14 +67,14 @@ class MissionKeys:
 
 @dataclass(frozen=True)
 class AtmosphereKeys:
-    """Whether the air is estimated from what measured it; else the standard is kept."""
+    """Whether the air is estimated from measurements; if not, a standard atmosphere is used."""
 
     adjust: bool = True
 
 
 @dataclass(frozen=True)
 class MissionSections:
-    """What reports say of a mission file: parts of the sections that `unbend.config` describes."""
+    """The sections of a mission file, with the keys that reports use."""
 
     refraction: RefractionKeys
     cameras: Mapping[str, CameraKeys]

@@ -1,4 +1,4 @@
-"""A manifest as a whole: plain values and their records."""
+"""A manifest as a whole: its plain values, and records made from them."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True)
 class Manifest:
-    """The manifest of a run: its plain values, with all that a file holds, and their records.
+    """The manifest of a run: ``values`` are all values of the file, from which records are made.
 
-    ``where`` is the file, which a refusal names. Values without a field are ignored. Records are
-    made when they are first read: results of another version may lack what theirs needs.
+    ``where`` is the file, for refusals. A record is made when it is first read, because a manifest
+    of another version may lack values of some records. Values without a field are ignored.
     """
 
     values: Mapping[str, Any]
@@ -31,25 +31,28 @@ class Manifest:
 
     @cached_property
     def run(self) -> RunRecord:
-        """Which run this is, how it ended, and its files."""
+        """The mission of the run, its inputs and versions, its exit code and its files."""
         return self._record(RunRecord, self.values)
 
     @cached_property
     def results(self) -> ResultsRecord:
-        """What the run found."""
+        """The results of the run."""
         return self._record(ResultsRecord, self.values)
 
     @cached_property
     def sections(self) -> MissionSections:
-        """What the mission file says."""
+        """The keys of the mission file that reports use."""
         return self._record(MissionSections, self.run.config)
 
     def with_values(self, changed: Mapping[str, Any]) -> Manifest:
-        """The manifest with some values replaced or added."""
+        """A copy of the manifest with some values replaced or added."""
         return Manifest({**self.values, **changed}, self.where)
 
     def _record(self, kind: type[Record], values: Mapping[str, Any]) -> Record:
-        """A record of values; refuses (MANIFEST-UNREADABLE) missing ones and other types."""
+        """Make a record from values; refuses (MANIFEST-UNREADABLE) missing values and other types.
+
+        ``kind`` is the class of the record.
+        """
         try:
             reader = _reader_of(kind)  # type: ignore[arg-type]  # mypy: a class is not Hashable
             record: Record = reader.validate_python(values)
@@ -60,7 +63,10 @@ class Manifest:
 
 @cache
 def _reader_of(kind: type[Any]) -> TypeAdapter[Any]:
-    """Checks plain values and makes records of a kind: 0.2 ms for all results of a mission."""
+    """A pydantic reader that checks plain values and makes records of the class ``kind``.
+
+    It takes 0.2 ms for all results of a mission.
+    """
     from pydantic import TypeAdapter
 
     return TypeAdapter(kind)
