@@ -332,7 +332,10 @@ def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
 
 
 def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows:
-    """Drop and report the rows marked ``stray``: their time since boot does not fit others."""
+    """Drop the rows marked in ``stray`` (n,), and report them.
+
+    The time since boot of a stray row does not fit its neighbours.
+    """
     if not stray.any():
         return rows
     ledger.add(

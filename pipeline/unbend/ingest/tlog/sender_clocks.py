@@ -339,7 +339,7 @@ def fit_sender(
     boot_ns = _continued(readings["boot_ns"], stamped_ns, sender, ledger)
     system_time = UtcReadings(
         source="SYSTEM_TIME messages",
-        one="SYSTEM_TIME message",
+        singular="SYSTEM_TIME message",
         places=places,
         boot_ns=boot_ns,
         utc_ns=readings["utc_ns"],
@@ -349,7 +349,7 @@ def fit_sender(
         system_time = replace(system_time, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY)
     received = UtcReadings(
         source="stamps",
-        one="stamp",
+        singular="stamp",
         places=places,
         boot_ns=boot_ns,
         utc_ns=lead.utc_of_host(places, stamped_ns),

@@ -308,7 +308,7 @@ def _utc_of_boot_time(log: ULogMessages) -> list[UtcReadings]:
     return [
         UtcReadings(
             source=f"values of {BOOT_UTC}",
-            one=f"value of {BOOT_UTC}",
+            singular=f"value of {BOOT_UTC}",
             places=one_row,
             boot_ns=one_row,
             utc_ns=np.array([round(utc_us) * 1000], np.int64),
