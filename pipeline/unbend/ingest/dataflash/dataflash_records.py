@@ -139,7 +139,7 @@ class RecordWalker(DamagedBytes):
         return dict(+counts)
 
     def _walk_block(self, place: int) -> int:
-        """Enter the records of the block that begins at ``place``; returns where the next one begins.
+        """Enter the records of the block that begins at ``place``; returns where the next begins.
 
         The arrays of a block are freed before the next one is read.
         """
