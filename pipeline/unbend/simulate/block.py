@@ -317,7 +317,7 @@ def write_tables(
     noise_px: float,
     rng: np.random.Generator,
 ) -> None:
-    """Write the observations with noise [px] to ``out``, and the tables of the truth to out/truth."""
+    """Write the observations, with noise [px], to ``out``, and the truth to out/truth."""
     truth = out / "truth"
     truth.mkdir(parents=True, exist_ok=True)
     measured, true = observation_columns(block, points, seen, noise_px, rng)
