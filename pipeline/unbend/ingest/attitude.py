@@ -12,7 +12,7 @@ from unbend.units import MOST_FLAGS, Array, whole_numbers
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")  # the columns of an attitude
 BLOCK = 65_536  # rows converted at once: their quaternions fit the cache
 
-# Bits of GIMBAL_DEVICE_FLAGS that say what the yaw of the quaternion counts from.
+# Bits of GIMBAL_DEVICE_FLAGS: the reference of the yaw of the quaternion.
 _YAW_LOCK = 16
 _YAW_IN_VEHICLE_FRAME = 32
 _YAW_IN_EARTH_FRAME = 64

@@ -138,7 +138,7 @@ def _has_both_sides(source: UtcReadings, line: Timeline, silence_places: Integer
     ``silence_places``: (n,) places in the log at which the silences end.
     """
     boots = line.boot_of(source.places)
-    # -1 stands for no row before a silence, -2 for none behind it: the two are never equal
+    # -1 means no row before a silence, -2 none behind it: the two are never equal
     padded_boots = np.concatenate([[-1], boots, [-2]]).astype(np.int64)
     rows_behind = np.searchsorted(source.places, silence_places)
     boots_before = padded_boots[rows_behind]  # index 0 is the padding: row i is at index i + 1

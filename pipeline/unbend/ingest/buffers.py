@@ -97,7 +97,7 @@ class FileView:
             place = self.array(begin, stop).tobytes().find(mark)
             if place >= 0:
                 return begin + place
-            begin = stop - len(mark) + 1  # a mark may lie across the border of two spans
+            begin = stop - len(mark) + 1  # a mark may cross the border of two spans
         return -1
 
 
@@ -120,7 +120,7 @@ def view_of_bytes(data: bytes) -> FileView:
 def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[Any]:
     """(n,) void items: ``size`` bytes of the data from each of (n,) places on.
 
-    All of them must lie in the data.
+    All of these bytes must be in the data.
 
     >>> gather(np.frombuffer(b"abcdef", np.uint8), np.array([3, 0]), 2).view("S2")
     array([b'de', b'ab'], dtype='|S2')
@@ -300,7 +300,7 @@ def release_pages() -> None:
 
 
 class ColumnStore:
-    """Rows of one type, added piece by piece, in blocks whose memory is freed one by one."""
+    """Rows of one type, added piece by piece, in blocks that are freed one by one."""
 
     def __init__(self, dtype: DTypeLike) -> None:
         self.dtype = np.dtype(dtype)

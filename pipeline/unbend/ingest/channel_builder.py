@@ -101,7 +101,7 @@ def has_value(column: Array) -> bool:
 
 
 def limited(column: Array) -> Array:
-    """A column (n,) whose finite numbers are at most `LARGEST_NUMBER`, which no log reaches.
+    """Limit the finite numbers of a column (n,) to +-`LARGEST_NUMBER`, which no usual log reaches.
 
     Sums and squares of larger numbers might overflow before these are rejected as implausible.
     """

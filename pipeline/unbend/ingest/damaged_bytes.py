@@ -11,7 +11,7 @@ from unbend.messages import Ledger
 class DamagedBytes:
     """Counts of the bytes that belong to no message.
 
-    bad_bytes : how many lie between messages.
+    bad_bytes : how many are between messages.
     first_bad : the place of the first of these, -1 without any.
     cut_bytes : those of a last message that the end of the file cuts off.
     places : at how many places the next message had to be searched.

@@ -1,6 +1,6 @@
 """Reads data/field_maps.toml, which declares the fields and roles of each message.
 
-A field map says which field of a message is which column of a channel, in which unit.
+A field map assigns fields of a message to columns of a channel, with their units.
 """
 
 import re
@@ -275,7 +275,7 @@ def _field_of(spec: FieldColumn, table: Mapping[str, NDArray[Any]]) -> str | Non
 
 
 def _popped(columns: dict[str, Array], prefix: str) -> list[Array]:
-    """Remove the columns whose names begin with a prefix, and return them, sorted by name."""
+    """Remove the columns with a prefix in their names; returns them, sorted by name."""
     names = sorted(name for name in columns if name.startswith(prefix))
     return [columns.pop(name) for name in names]
 
@@ -295,6 +295,6 @@ def topic_of(name: str) -> str:
 
 PX4_TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in PX4_MESSAGES.items()}
 
-UTC_FIELD = "time_utc_usec"  # Unix time [us] of receivers, beside their time since boot
+UTC_FIELD = "time_utc_usec"  # Unix time [us] of receivers, logged with their time since boot
 # Unix time [us] of an exposure, by the autopilot's own clock, which it sets now and then.
 CAPTURE_UTC_FIELD = "timestamp_utc"

@@ -29,12 +29,12 @@ READINGS_OF_SENDER = 100  # times of senders for each further sender beyond `FRE
 MAX_DEFINITIONS_OF_ONE = 32
 # How often a type of record gets another definition: the records behind it are searched anew.
 MAX_REDEFINITIONS = 1000
-# Places of damage behind each of which the next message is searched: 0.5 ms each.
+# Places of damage; behind each the next message is searched: 0.5 ms.
 FREE_PLACES = 2000
 BYTES_OF_PLACE = 1000  # bytes of the file for each further place beyond `FREE_PLACES`
 # Fields of all formats of a PX4 log, nested ones in each place: usual are 10,000.
 MAX_FIELDS = 1 << 17
-# Topics, senders and instances whose values are read: each has a channel of its own.
+# Topics, senders and instances that are read: each becomes a separate channel.
 MAX_SERIES = 1000
 # Values that a table may have if its messages lack fields: NaN in the place of each missing one.
 FREE_CELLS = 4_000_000

@@ -288,7 +288,7 @@ LOG_TRUNCATED = Code(
 
 
 def cut_off(*, file: str, count: int, unit: str) -> Message:
-    """The end of a file lies in a message; ``unit`` is the format's word for one."""
+    """The end of a file cuts off a message; ``unit`` is the format's word for a message."""
     return loss(
         LOG_TRUNCATED,
         (

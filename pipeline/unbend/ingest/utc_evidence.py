@@ -20,7 +20,7 @@ from unbend.units import NANOSECONDS_PER_SECOND, Mask
 
 ROLLOVER_NS = WEEKS_PER_ROLLOVER * SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
 
-# 2010-01-01: the autopilots whose logs are read flew first in that year.
+# 2010-01-01: the first flights of the autopilots with logs that are read were in that year.
 EARLIEST_NS = 1_262_304_000 * NANOSECONDS_PER_SECOND
 # 1981-01-06: a field of UTC that is earlier was never set. A year after the GPS epoch, with which
 # receivers begin.

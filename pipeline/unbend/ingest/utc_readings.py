@@ -1,4 +1,4 @@
-"""UTC beside the time since boot, as rows of a log state it, and whether its date is possible."""
+"""Rows of a log with both UTC and time since boot, and the check of their dates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +22,7 @@ LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
 
 @dataclass(frozen=True)
 class UtcReadings:
-    """UTC beside the time since boot, by one source, (n,) in the order of the log."""
+    """The (n,) rows of one source with UTC and time since boot, in the order of the log."""
 
     source: str  # what the rows are, in the plural: "rows of GPS"
     places: Integers

@@ -168,7 +168,7 @@ class TracedRays:
 def shoot(air: Medium, camera_m: Array, ground_m: Array, undulation_m: float) -> TracedRays:
     """The direction in which each camera sees its ground point, by shooting.
 
-    camera_m, ground_m (n, 3) ECEF [m]. Each ray is aimed beside its ground point by the sum of its
+    camera_m, ground_m (n, 3) ECEF [m]. Each ray is aimed off its ground point by the sum of its
     misses so far. The bending is 1e-5 of the ray, so each repetition gains five digits; they end
     when all rays miss by less than `AIM_TOLERANCE_M`.
     """

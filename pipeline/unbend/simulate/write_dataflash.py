@@ -15,7 +15,7 @@ from unbend.simulate.flight import State
 from unbend.simulate.true_air import FIELD_HEIGHT_M
 from unbend.units import ZERO_CELSIUS_K, Array, Integers
 
-Row = tuple[int, bytes]  # time since boot [us], by which rows are sorted, and the record
+Row = tuple[int, bytes]  # time since boot [us] (rows are sorted by it), and the record
 
 _MAGIC = b"\xa3\x95"
 # By character of a format string: how `struct` packs a value, and the scale of fixed-point ones.
@@ -96,7 +96,7 @@ HEAD_BEFORE_US = 500_000  # how long before the samples the definitions and para
 SHUTTER_LAG_US = 85_000  # from the command to the shutter
 SEA_LEVEL_PA = 101_325.0
 DRY_AIR_J_KG_K = 287.05
-STANDARD_DENSITY_KG_M3 = 1.225  # by which airspeed is computed from the dynamic pressure
+STANDARD_DENSITY_KG_M3 = 1.225  # assumed for airspeed from dynamic pressure
 
 
 def write_dataflash(path: Path, samples: sensors.LoggedSamples) -> int:

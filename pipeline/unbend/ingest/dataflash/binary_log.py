@@ -19,7 +19,7 @@ from unbend.messages import Ledger
 
 
 def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
-    """The contents of a binary log; ``witnesses`` are other clocks that tell its date."""
+    """The contents of a binary log; ``witnesses`` are other clocks that know its date."""
     wanted = wanted_fields()
     with open_view(path) as data:
         walker = RecordWalker(data, wanted)

@@ -218,7 +218,7 @@ def channels_of(
 ) -> tuple[Channel, ...]:
     """The channels of the messages in `MESSAGES`.
 
-    Their tables are removed from ``tables``, so that memory does not hold them twice.
+    Their tables are removed from ``tables``, so that no table is in memory twice.
     """
     channels = []
     limit = SeriesLimit()

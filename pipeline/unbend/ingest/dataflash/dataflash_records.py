@@ -275,7 +275,7 @@ class RecordWalker(DamagedBytes):
             self.kept_blocks.append(kept_block)
 
     def _wanted_of(self, block: RecordBlock) -> RecordBlock:
-        """The records of a block whose names are wanted."""
+        """The records of a block with wanted names."""
         if self.names is None:
             return block
         is_wanted = np.array([form.name in self.names for form in self.definitions], np.bool_)
@@ -333,7 +333,7 @@ class RecordWalker(DamagedBytes):
         """The first place from a byte on where a chain of records begins, or the end of the file.
 
         The bytes searched at once are few at first, and twice as many each time: in a log with many
-        damaged records, each search reads little more than what lies before the next good one.
+        damaged records, each search reads little more than the bytes up to the next good one.
         """
         reach = REACH
         while place < self.size:
