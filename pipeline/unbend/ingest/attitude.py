@@ -10,18 +10,18 @@ import numpy as np
 from unbend.units import MOST_FLAGS, Array, whole_numbers
 
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")  # the columns of an attitude
-BLOCK = 65_536  # rows turned at once: their quaternions fit the cache
+BLOCK = 65_536  # rows converted at once: their quaternions fit the cache
 
-# Bits of GIMBAL_DEVICE_FLAGS that say what the yaw of the quaternion counts from.
+# Bits of GIMBAL_DEVICE_FLAGS: the reference of the yaw of the quaternion.
 _YAW_LOCK = 16
 _YAW_IN_VEHICLE_FRAME = 32
 _YAW_IN_EARTH_FRAME = 64
 
 
 def unit_quaternions(q: Array) -> Array:
-    """(n, 4) unit quaternions w, x, y, z, w >= 0, of quaternions of any length.
+    """Scale (n, 4) quaternions w, x, y, z to length 1, and turn their sign so that w >= 0.
 
-    NaN where the length is 0 or infinite.
+    Rows with a length of 0, infinite or NaN become NaN.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(q, axis=1, keepdims=True)
@@ -32,20 +32,21 @@ def unit_quaternions(q: Array) -> Array:
 
 
 def replace_in_blocks(
-    rotation: Callable[[Array], Array],
-    parts: Sequence[Array],
+    to_quaternions: Callable[[Array], Array],
+    columns: Sequence[Array],
 ) -> None:
-    """Replace the numbers in four (n,) columns by quaternions, in place and some rows at a time.
+    """Replace the numbers in four (n,) columns by the components of quaternions, in place.
 
-    ``rotation`` makes (m, 4) quaternions of (m, 4) numbers, a row of the four columns each.
+    ``to_quaternions`` is called with (m, 4) numbers, m <= `BLOCK` successive rows of the four
+    columns, and returns (m, 4) quaternions.
     """
-    count = parts[0].shape[0]
+    count = columns[0].shape[0]
     for begin in range(0, count, BLOCK):
         block = slice(begin, begin + BLOCK)
-        numbers = np.stack([part[block] for part in parts], axis=1)
-        quaternion = rotation(numbers)
-        for part, component in zip(parts, quaternion.T, strict=True):
-            part[block] = component
+        numbers = np.stack([column[block] for column in columns], axis=1)
+        quaternions = to_quaternions(numbers)
+        for column, component in zip(columns, quaternions.T, strict=True):
+            column[block] = component
 
 
 def quaternion_of_euler(
@@ -76,11 +77,11 @@ def quaternion_of_euler(
 
 
 def ned_frd_of_enu_flu(q: Array) -> Array:
-    """(n, 4) attitudes w, x, y, z of the package from those of ROS (REP 103).
+    """Convert (n, 4) attitudes w, x, y, z of ROS (REP 103) to the convention of the package.
 
-    ROS turns from forward-left-up to east-north-up, the package from forward-right-down to
-    north-east-down. The product (0, s, s, 0) q (0, 1, 0, 0), s = 1/sqrt(2), exchanges the axes of
-    both frames.
+    ROS rotates from forward-left-up to east-north-up, the package from forward-right-down to
+    north-east-down. The quaternion product (0, s, s, 0) q (0, 1, 0, 0), s = 1/sqrt(2), exchanges
+    the axes of both frames.
 
     >>> ned_frd_of_enu_flu(np.array([[1.0, 0.0, 0.0, 0.0]])).round(4)  # x forward, facing east
     array([[0.7071, 0.    , 0.    , 0.7071]])
@@ -96,24 +97,23 @@ def ned_frd_of_enu_flu(q: Array) -> Array:
             x - y,
             w - z,
         ]
-        turned = np.sqrt(0.5) * np.stack(components, axis=1)
-        return unit_quaternions(turned)
+        product = np.sqrt(0.5) * np.stack(components, axis=1)
+        return unit_quaternions(product)
 
 
 def earth_frame_attitude(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """A gimbal's columns, with the quaternion ``q_*`` NaN where its yaw does not count from north.
+    """A gimbal's columns, with the quaternion ``q_*`` NaN where the yaw is not from north.
 
-    The columns ``gimbal_q_*`` stay as sent. The yaw counts from north or from the vehicle's nose,
-    as the flags say; where neither flag is set, a locked yaw counts from north (the text of the
-    message in MAVLink's common.xml).
+    The ``flags`` of a row state if yaw is measured from north or from the vehicle's nose; where
+    neither flag is set, a locked yaw is from north (the text of the message in MAVLink's
+    common.xml). The columns ``gimbal_q_*`` stay as sent.
     """
-    flags = whole_numbers(columns["flags"], 0, MOST_FLAGS)  # unknown flags count as not set
+    flags = whole_numbers(columns["flags"], 0, MOST_FLAGS)  # NaN becomes 0: no flag is set
     is_locked = flags & _YAW_LOCK != 0
     in_vehicle_frame = flags & _YAW_IN_VEHICLE_FRAME != 0
     in_earth_frame = flags & _YAW_IN_EARTH_FRAME != 0
     from_north = in_earth_frame | (is_locked & ~in_vehicle_frame)
     result = dict(columns)
     for name in QUATERNION:
-        as_sent = columns[name]
-        result[name] = np.where(from_north, as_sent, np.nan)
+        result[name] = np.where(from_north, columns[name], np.nan)
     return result

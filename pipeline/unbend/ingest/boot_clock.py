@@ -1,4 +1,4 @@
-"""UTC minus the time since boot of each power-up, for all log formats: few records carry UTC."""
+"""UTC minus the time since boot of each boot, for all log formats: few records carry UTC."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,11 +22,12 @@ _BLOCK = 65_536  # rows of the running median at once
 
 @dataclass(frozen=True)
 class BootClock:
-    """UTC of a clock that begins anew at each boot of ``line``.
+    """The conversion from times since boot to UTC, for each boot of ``line``.
 
-    ``fits`` is None where no source gives UTC; ``utc_known`` False where only the recorder does.
-    ``sigma_s`` [s] of UTC in the worst boot, NaN where none has UTC; ``assessments``: what each
-    clock of the log is good for.
+    fits : for each boot the offset of UTC from the time since boot; None if nothing gives UTC.
+    utc_known : for each boot False if nothing but the recorder, or nothing at all, gives UTC.
+    sigma_s : [s] of UTC in the worst boot; NaN if no boot has UTC.
+    assessments : how good each clock of the log is, and if it is used.
     """
 
     line: Timeline
@@ -36,7 +37,11 @@ class BootClock:
     assessments: tuple[ClockAssessment, ...] = ()
 
     def utc(self, places: Integers, boot_ns: TimeArray) -> TimeArray:
-        """UTC [ns] of times since boot at places of the log; of a boot without UTC, these times."""
+        """Convert (n,) times since boot [ns] to UTC [Unix ns].
+
+        ``places``: (n,) places of the records in the log, which decide the boot. Times in a boot
+        without UTC are returned unchanged.
+        """
         offset_of_boot_ns = [fit.offset_ns if fit else 0 for fit in self.fits]
         offsets_ns = np.array(offset_of_boot_ns, np.int64)
         utc_ns = offsets_ns[self.line.boot_of(places)]
@@ -59,25 +64,28 @@ def fit_clock(
 
     What gives UTC in a boot:
 
-    - The one of the ``sources`` with the most rows, by the median of its rows. Each other source
-      that differs by more than 1 s is a loss.
-    - ``fallbacks``, as cameras, if no source has UTC in any boot.
+    - Among the ``sources``, the source with the most rows in that boot; the offset is the median
+      over its rows. Each other source that differs by more than 1 s is reported as a loss.
+    - ``fallbacks`` (for example cameras) in place of the sources, if no source has UTC in any boot.
     - ``recorder``, in a boot without any of these.
     - Else nothing: the times of the boot count from 1970.
 
-    Dates that no log can have are repaired or not used; ``witnesses`` are further clocks that tell
-    the date. In the reports ``where`` is the vehicle, and ``utc_of`` what gives UTC in this format.
+    Impossible dates are repaired or not used; ``witnesses`` are further clocks that know the date.
+    In the reports ``where`` is the name of the vehicle, and ``utc_of`` names the rows that give UTC
+    in this format.
 
-    A boot is also split where nothing was recorded for more than 1 s and the offset differs by more
-    than 1 s from then on. Where the offset steps without such a silence, a clock was set.
+    A boot is also split where nothing was recorded for more than 1 s and the offset after this
+    silence differs by more than 1 s: the vehicle was restarted. A step of the offset without a
+    silence does not split: there a clock was set.
     """
     if recorder is not None:
         recorder = possible_recorder(recorder.usable_rows(line), line, where, ledger)
     dates = DateCheck(line, recorder, tuple(witnesses), where)
     accepted = [dates.acceptable(source.usable_rows(line), ledger) for source in sources]
     if not any(source.places.size for source in accepted):
-        accepted = [dates.acceptable(other.usable_rows(line), ledger) for other in fallbacks]
-    # The best source decides first about silences; `_utc_of_boots` chooses anew in each boot.
+        accepted = [dates.acceptable(source.usable_rows(line), ledger) for source in fallbacks]
+    # The source with the most rows decides first about silences; in each boot `_utc_of_boots`
+    # compares the sources again.
     accepted.sort(key=lambda source: -source.places.size)
     with_recorder = accepted if recorder is None else [*accepted, recorder]
     split_line = _split_at_silences(line, with_recorder)
@@ -93,7 +101,7 @@ def fit_clock(
 
 def _clock_of(line: Timeline, chosen: "Sequence[BootUtc]") -> BootClock:
     """The clock of a log from the UTC of each of its boots."""
-    sigma_s = float("nan")  # until a boot has UTC: fmax takes the other of two values
+    sigma_s = float("nan")  # until a boot has UTC: fmax ignores NaN
     assessments: list[ClockAssessment] = []
     for utc in chosen:
         assessments += utc.assessments
@@ -109,27 +117,31 @@ def _clock_of(line: Timeline, chosen: "Sequence[BootUtc]") -> BootClock:
 
 
 def _split_at_silences(line: Timeline, sources: Sequence[UtcReadings]) -> Timeline:
-    """Split boots at silences where the offset of a source steps; the best sources come first.
+    """Split boots at silences where the offset of a source steps.
 
-    The first source with rows on both sides of a silence, in one boot, decides about the silence.
+    The first of the ``sources`` that has rows of one boot on both sides of a silence decides if the
+    boot is split there.
     """
     silence_places = line.first[line.silences().after]
     is_decided = np.zeros(silence_places.shape, np.bool_)
     split_line = line
     for source in sources:
         split_line = _split_boots(split_line, source, is_decided)
-        # by the boots before any split: after one, both sides are of different boots
+        # `line`, not `split_line`: where a boot was split, the two sides are of different boots
         is_decided |= _has_both_sides(source, line, silence_places)
     return split_line
 
 
 def _has_both_sides(source: UtcReadings, line: Timeline, silence_places: Integers) -> Mask:
-    """Whether a source has rows of the same boot before and behind each silence."""
+    """(n,) whether the rows of a source next to a silence, before and behind, are of one boot.
+
+    ``silence_places``: (n,) places in the log at which the silences end.
+    """
     boots = line.boot_of(source.places)
-    # -1 stands for no row before a silence, -2 for none behind it: the two are never equal
+    # -1 means no row before a silence, -2 none behind it: the two are never equal
     padded_boots = np.concatenate([[-1], boots, [-2]]).astype(np.int64)
     rows_behind = np.searchsorted(source.places, silence_places)
-    boots_before = padded_boots[rows_behind]  # the padding has moved all rows by one
+    boots_before = padded_boots[rows_behind]  # index 0 is the padding: row i is at index i + 1
     boots_behind = padded_boots[rows_behind + 1]
     return np.asarray(boots_before == boots_behind)
 
@@ -137,7 +149,7 @@ def _has_both_sides(source: UtcReadings, line: Timeline, silence_places: Integer
 def _split_boots(line: Timeline, source: UtcReadings, is_decided: Mask) -> Timeline:
     """Split boots where the offset of a source steps at a silence that is not decided yet.
 
-    ``is_decided``: of each of the silences of the line.
+    ``is_decided``: (n,) for each of `line.silences()`, True if an earlier source has decided.
     """
     silences = line.silences()
     is_within_boot = line.boot[silences.after] == line.boot[silences.after - 1]
@@ -151,11 +163,11 @@ def _split_boots(line: Timeline, source: UtcReadings, is_decided: Mask) -> Timel
     records = int(line.length.sum())
     check_boots(line.boots + len(steps), records)
     for before, after in steps:
-        # the longest silence between the two rows is where the vehicle was restarted
+        # the vehicle was restarted in the longest silence between the two rows
         begin, end = np.searchsorted(silence_places, [before, after], side="right")
         if begin < end:
             longest = begin + np.argmax(undecided.length_ns[begin:end])
-            boot[undecided.after[longest] :] += 1  # all later boots count one on
+            boot[undecided.after[longest] :] += 1  # the numbers of all later boots rise by one
     return replace(line, boot=boot)
 
 
@@ -179,15 +191,15 @@ def without_glitches(offset_ns: TimeArray) -> TimeArray:
 
     A single offset, or none, is returned as it is.
     """
-    half = min(clock.STRAY_ROWS, offset_ns.shape[0] - 1)
-    if half < 1:
+    half_window = min(clock.STRAY_ROWS, offset_ns.shape[0] - 1)
+    if half_window < 1:
         return offset_ns
-    padded = np.pad(offset_ns, half, mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    padded = np.pad(offset_ns, half_window, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half_window + 1)
     steady = np.empty_like(offset_ns)
-    for begin in range(0, offset_ns.shape[0], _BLOCK):  # as a whole, it would be the peak of memory
+    for begin in range(0, offset_ns.shape[0], _BLOCK):  # all at once would be the peak of memory
         block = slice(begin, begin + _BLOCK)
-        steady[block] = np.partition(windows[block], half, axis=1)[:, half]
+        steady[block] = np.partition(windows[block], half_window, axis=1)[:, half_window]
     return steady
 
 
@@ -204,7 +216,7 @@ def _utc_of_boots(
     where: str,
     ledger: Ledger,
 ) -> "list[BootUtc]":
-    """UTC of each boot; how well it fits, and what contradicts it, is reported."""
+    """Choose the source of UTC of each boot; report how well it fits and which sources differ."""
     recorders = [] if recorder is None else [recorder]
     chosen = []
     for number in range(line.boots):
@@ -218,7 +230,11 @@ def _utc_of_boots(
 
 
 class BootUtc(NamedTuple):
-    """UTC of a boot: its offset, whether a source states it, its sigma [s]; all its clocks."""
+    """UTC of a boot, and how good each clock with rows in this boot is.
+
+    ``fit``: the offset of UTC, None without UTC. ``is_known``: False if UTC is that of the recorder
+    or unknown. ``sigma_s``: of UTC [s], NaN without UTC.
+    """
 
     fit: clock.ClockOffset | None
     is_known: bool
@@ -234,7 +250,7 @@ class _FittedSource(NamedTuple):
 
     @property
     def sigma_s(self) -> float:
-        """Of the clock, and of the scatter of its rows [s]."""
+        """The sigma of its UTC [s]: of its clock, combined with the scatter of its rows."""
         return float(np.hypot(self.readings.sigma_s, self.fit.sigma_ns / 1e9))
 
     def seconds_from(self, other: "_FittedSource") -> float:
@@ -242,15 +258,17 @@ class _FittedSource(NamedTuple):
         return (self.fit.offset_ns - other.fit.offset_ns) / 1e9
 
     def words(self) -> str:
-        """The source and how many rows of it are of the boot."""
+        """The number of its rows in the boot and its name, for a report."""
         return self.readings.counted(self.fit.rows)
 
 
 @dataclass(frozen=True)
 class _BootSources:
-    """The sources of UTC that have rows in a boot, and the recorder if it has; ``place`` in words.
+    """The clocks that have rows in one boot.
 
-    ``stated`` may be empty, and ``recorded`` has one source at most.
+    stated : the sources of UTC; may be empty.
+    recorded : the recorder; empty if it has no rows in the boot.
+    place : the vehicle and the boot in words.
     """
 
     stated: list[_FittedSource]
@@ -258,19 +276,19 @@ class _BootSources:
     place: str
 
     def utc(self, ledger: Ledger) -> BootUtc:
-        """UTC of the boot by the source with the most rows, else by the recorder."""
+        """UTC of the boot by the source with the most rows, else by the recorder, else unknown."""
         if self.stated:
             used = max(self.stated, key=lambda source: source.fit.rows)
             ledger.add(clock.clock_fit_note(used.words(), used.fit, self.place))
             self._report_contradictions(used, ledger)
-            return self._by(used, is_known=True, sigma_s=self._sigma_s(used))
+            return self._utc_by(used, is_known=True, sigma_s=self._sigma_s(used))
         if self.recorded:
             used = self.recorded[0]
-            return self._by(used, is_known=False, sigma_s=used.sigma_s)
+            return self._utc_by(used, is_known=False, sigma_s=used.sigma_s)
         return _without_utc(self.place)
 
-    def _by(self, used: _FittedSource, *, is_known: bool, sigma_s: float) -> BootUtc:
-        """UTC by one of the sources, and how good each of them is."""
+    def _utc_by(self, used: _FittedSource, *, is_known: bool, sigma_s: float) -> BootUtc:
+        """UTC by the ``used`` source, with the assessments of all clocks of the boot."""
         assessments = []
         for source in (*self.stated, *self.recorded):
             assessments.append(_assessment(source, used, sigma_s, self.place))
@@ -284,7 +302,7 @@ class _BootSources:
     def _sigma_s(self, used: _FittedSource) -> float:
         """The sigma of the UTC of the ``used`` source [s].
 
-        A source that no receiver sets, beside a recorder, is no better than the two agree.
+        For a clock that no receiver sets, sigma is at least its difference from the recorder.
         """
         sigma_s = used.sigma_s
         is_set_by_receiver = used.readings.sigma_s == 0.0
@@ -295,7 +313,7 @@ class _BootSources:
         return sigma_s
 
     def _report_contradictions(self, used: _FittedSource, ledger: Ledger) -> None:
-        """Report sources more than 1 s from the one in use, and a recorder more than a minute."""
+        """Report sources more than 1 s from the ``used`` source, and a recorder more than 60 s."""
         for source in self.stated:
             apart_s = source.seconds_from(used)
             if abs(apart_s) * 1e9 > clock.BOOT_STEP_NS:
@@ -322,7 +340,7 @@ class _BootSources:
 
 
 def _without_utc(place: str) -> BootUtc:
-    """A boot whose UTC no clock of the log tells."""
+    """The result for a boot in which no clock of the log gives UTC."""
     assessment = ClockAssessment(
         clock=f"the vehicle's time ({place})",
         use="counts from boot",
@@ -345,15 +363,15 @@ def _fitted(line: Timeline, number: int, sources: Sequence[UtcReadings]) -> list
 
 
 def _assessment(
-    source: _FittedSource, used: _FittedSource, sigma_s: float, place: str
+    source: _FittedSource, used: _FittedSource, sigma_of_used_s: float, place: str
 ) -> ClockAssessment:
-    """What a source of UTC is good for, beside the one that is ``used``."""
+    """The assessment of one source of UTC in a boot that takes its UTC from the ``used`` source."""
     is_used = source is used
     return ClockAssessment(
         clock=f"{source.words()} ({place})",
         use="UTC of the log" if is_used else "compared",
         utc=date_text(source.readings.utc_ns[0]) if source.readings.utc_ns.size else None,
         apart_s=source.seconds_from(used),
-        sigma_s=sigma_s if is_used else source.sigma_s,
+        sigma_s=sigma_of_used_s if is_used else source.sigma_s,
         why=source.readings.why,
     )

@@ -23,7 +23,7 @@ from unbend.ingest import messages
 from unbend.units import Integers, Rows
 
 SPAN = 4 << 20  # [bytes] read at once; 1 to 16 MiB are equally fast
-BEHIND = 4096  # [bytes] kept before the place asked for: recovery after damage goes back
+BEHIND = 4096  # [bytes] kept before the place asked for: recovery after damage steps back
 PRIVATE = 256 << 20  # [bytes] of rows and columns in memory of the process's own
 REGION = 64 << 20  # [bytes] of a temporary file, at least
 SMALL = 4096  # [bytes]: smaller arrays are left to the heap
@@ -55,7 +55,7 @@ class FileView:
         self._bytes: Bytes = np.empty(0, np.uint8)
 
     def array(self, begin: int, end: int) -> Bytes:
-        """The bytes from ``begin`` to ``end`` or the end of the file; not to be written to."""
+        """The bytes from ``begin`` to ``end``, or to the end of the file; for reading only."""
         end = min(end, self.size)
         kept_end = self._begin + self._bytes.shape[0]
         if begin < self._begin or end > kept_end:
@@ -69,7 +69,7 @@ class FileView:
 
         Raises LogError if the file has become shorter.
         """
-        usual_length = SPAN + 2 * BEHIND  # some bytes before the place asked for, and behind
+        usual_length = SPAN + 2 * BEHIND  # with `BEHIND` bytes on both sides of the bytes asked for
         wanted_length = max(end - begin, usual_length)
         length = min(wanted_length, self.size - begin)
         span = np.empty(length, np.uint8)
@@ -83,18 +83,21 @@ class FileView:
         return span
 
     def __getitem__(self, places: slice) -> bytes:
-        """A short stretch as bytes."""
+        """A short stretch of the file as bytes, copied; ``places`` must have a start and a stop."""
         return self.array(places.start, places.stop).tobytes()
 
     def find(self, mark: bytes, begin: int, end: int | None = None) -> int:
-        """The first place of a mark that lies between two places, or -1."""
+        """The first place from which a mark is in the file, completely between two places; else -1.
+
+        ``end`` None means the end of the file.
+        """
         end = self.size if end is None else min(end, self.size)
         while begin + len(mark) <= end:
             stop = min(begin + SPAN, end)
             place = self.array(begin, stop).tobytes().find(mark)
             if place >= 0:
                 return begin + place
-            begin = stop - len(mark) + 1  # a mark may lie across the border of two spans
+            begin = stop - len(mark) + 1  # a mark may cross the border of two spans
         return -1
 
 
@@ -117,7 +120,7 @@ def view_of_bytes(data: bytes) -> FileView:
 def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[Any]:
     """(n,) void items: ``size`` bytes of the data from each of (n,) places on.
 
-    All of them must lie in the data.
+    All of these bytes must be in the data.
 
     >>> gather(np.frombuffer(b"abcdef", np.uint8), np.array([3, 0]), 2).view("S2")
     array([b'de', b'ab'], dtype='|S2')
@@ -135,7 +138,10 @@ def gather(data: NDArray[np.uint8], places: NDArray[Any], size: int) -> NDArray[
 
 
 class Runs:
-    """Places, rising, where messages may begin and end, and the runs of those that follow directly.
+    """Candidates for messages, and the runs of candidates that follow each other without a gap.
+
+    at : (n,) places where messages may begin, rising.
+    end : (n,) the place behind the last byte of each.
 
     >>> Runs(np.array([0, 4, 9]), np.array([4, 8, 12])).starting_at(0)
     slice(0, 2, None)
@@ -144,11 +150,11 @@ class Runs:
     def __init__(self, at: Integers, end: Integers) -> None:
         self.at = at
         self.end = end
-        next_at = np.append(at[1:], -1)  # no place: the last message of all ends a run
-        self._breaks = np.flatnonzero(next_at != end)  # the last of each run
+        next_at = np.append(at[1:], -1)  # -1 equals no end: the last message of all ends a run
+        self._breaks = np.flatnonzero(next_at != end)  # (k,) row of the last message of each run
 
     def starting_at(self, place: int) -> slice:
-        """The rows of the messages that follow each other from a place on; empty without any."""
+        """The rows of the run of messages from ``place`` on; empty if no message begins there."""
         first = int(np.searchsorted(self.at, place))
         if first == self.at.shape[0] or self.at[first] != place:
             return slice(first, first)
@@ -216,7 +222,7 @@ class _Arena:
             raise MemoryError(f"no memory for {size} bytes: {error.strerror}") from error
         self.private += size
         finalizer = weakref.finalize(memory, self._free, size, self.generation)
-        finalizer.atexit = False  # what is left then, the end of the process frees
+        finalizer.atexit = False  # at exit the system frees the memory
         return memory
 
     def _free(self, size: int, generation: int) -> None:
@@ -226,7 +232,7 @@ class _Arena:
                 self.private -= size
 
     def release_pages(self) -> None:
-        """Let the system write the pages of the files out; they return when they are touched."""
+        """Let the system write the pages of the files out; they are read again on use."""
         if hasattr(mmap, "MADV_DONTNEED"):  # Windows trims them when it needs memory
             with self.lock:
                 for region in self.regions:
@@ -234,7 +240,7 @@ class _Arena:
 
 
 def _mapped_file(size: int) -> mmap.mmap | None:
-    """A map of a temporary file whose bytes are reserved on the disk; None without space there."""
+    """A map of a temporary file with its bytes reserved on the disk; None without space."""
     try:
         with tempfile.TemporaryFile() as file:
             if hasattr(os, "posix_fallocate"):
@@ -254,7 +260,7 @@ if hasattr(os, "register_at_fork"):  # Windows has no fork
 
 
 def allocate(count: int, dtype: DTypeLike) -> NDArray[Any]:
-    """(count,) rows with any values in them.
+    """An array of (count,) rows that are not initialized.
 
     Up to `PRIVATE` bytes are the process's own, further ones in a temporary file (of ``TMPDIR``) if
     there is space; both return to the system with the last array on them. After a fork, parent and
@@ -289,12 +295,12 @@ def copy_rows(column: NDArray[Any], rows: Rows | None = None) -> NDArray[Any]:
 
 
 def release_pages() -> None:
-    """Keep no pages of temporary files in memory; they are read again when they are touched."""
+    """Keep no pages of temporary files in memory; they are read again when they are used."""
     _ARENA.release_pages()
 
 
 class ColumnStore:
-    """Rows of one type, added piece by piece, in blocks whose memory is freed one by one."""
+    """Rows of one type, added piece by piece, in blocks that are freed one by one."""
 
     def __init__(self, dtype: DTypeLike) -> None:
         self.dtype = np.dtype(dtype)
@@ -320,14 +326,14 @@ class ColumnStore:
             self._length += count
 
     def _add_block(self) -> None:
-        """Append a block of as many bytes as there are so far, within limits."""
+        """Append a block as large as all rows so far, between `_SMALLEST_BLOCK` and `BLOCK`."""
         size_so_far = self._length * self.dtype.itemsize
         size = min(max(size_so_far, _SMALLEST_BLOCK), BLOCK)
         self._room = max(size // self.dtype.itemsize, 1)
         self._blocks.append(allocate(self._room, self.dtype))
 
     def blocks(self) -> Iterator[NDArray[Any]]:
-        """The rows, block by block, without free ones; they may be written to."""
+        """The rows that were added, block by block; they may be changed in place."""
         yield from self._blocks[:-1]
         if self._blocks:
             last = self._blocks[-1]
@@ -335,7 +341,7 @@ class ColumnStore:
 
     def drained(self) -> Iterator[NDArray[Any]]:
         """The rows, block by block; empties the store, so that each block is freed after use."""
-        blocks = self._blocks[::-1]  # taken from the end, so that the list does not hold them
+        blocks = self._blocks[::-1]  # reversed: pop() takes them from the end
         free_rows = self._room
         self._blocks = []
         self._room = 0

@@ -23,8 +23,8 @@ from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Kind, Ledger
 from unbend.units import LARGEST_NUMBER, Array, Mask, Rows
 
-SENT = ".sent"  # of a channel with the commands of a trigger, beside that of the shutter's pulses
-_BEHIND_PULSES = 10  # ranks
+SENT = ".sent"  # ends the name of a channel of trigger commands; that of shutter pulses has none
+_BEHIND_PULSES = 10  # added to the rank of trigger commands: the channel of pulses is chosen first
 _EULER = ("roll_rad", "pitch_rad", "yaw_rad")
 
 
@@ -47,7 +47,7 @@ class DecodedRows:
         return bool(np.all(self.time_ns[1:] > self.time_ns[:-1]))
 
     def take(self, rows: Mask | Rows) -> "DecodedRows":
-        """The rows of a mask or an index."""
+        """The rows that a mask or an array of row numbers selects, copied."""
         index = np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
         kept = np.asarray(index, np.intp)
         columns = {}
@@ -72,7 +72,7 @@ class ColumnStores:
 
     def __init__(self, spec: MessageMap) -> None:
         self.stores: dict[str, ColumnStore] = {}
-        # Of these a column without any value is kept too: else it would be reported as absent.
+        # Columns of these without any value are kept: else they would be reported as absent.
         self._keeps_empty = spec.position or spec.attitude
         self._length = 0
 
@@ -101,9 +101,9 @@ def has_value(column: Array) -> bool:
 
 
 def limited(column: Array) -> Array:
-    """A column (n,) whose finite numbers are at most `LARGEST_NUMBER`, which no log reaches.
+    """Limit the finite numbers of a column (n,) to +-`LARGEST_NUMBER`, which no usual log reaches.
 
-    Sums and squares of larger ones might overflow, before they are refused as implausible.
+    Sums and squares of larger numbers might overflow before these are rejected as implausible.
     """
     if column.size == 0:
         return column
@@ -133,11 +133,11 @@ def channel_of(rows: DecodedRows, spec: MessageMap, ledger: Ledger) -> Channel |
         ledger.add(messages.rows_without_field(where=rows.name, count=count, fields=absent))
         return None
     if not spec.event and not any(map(has_value, rows.columns.values())):
-        return None  # no values: what is dropped of them is not worth an entry
+        return None  # without values, dropped rows are not reported
     if spec.position:
         rows = _with_fix(rows, ledger)
     rows = _without_repeats(rows, ledger, event=spec.event)
-    if spec.event:  # a repeat has no number, but a row out of the order of time keeps its own
+    if spec.event:  # numbered after repeats are dropped, before rows out of order are
         rows = _numbered_exposures(rows)
     rows = _in_rising_time(rows, ledger)
     columns = dict(rows.columns)
@@ -154,7 +154,7 @@ def _channel(
     columns: Mapping[str, Array],
     spec: MessageMap,
 ) -> Channel:
-    """The channel of rows whose columns are ready, with the roles that it can play."""
+    """The channel of rows with their final ``columns``, and the roles that these allow."""
     logged_units = {}
     for column in spec.columns:
         if column.unit:
@@ -187,8 +187,8 @@ def _needed_columns(rows: DecodedRows, spec: MessageMap) -> set[str]:
 def _rank(rows: DecodedRows, spec: MessageMap) -> int:
     """The rank of a channel among candidates for a role.
 
-    The commands of a trigger rank behind the pulses of the shutter. Instances but the first have
-    the spare rank of the message, if it has one.
+    The channel with the smallest rank is chosen. Commands of a trigger rank behind the pulses of
+    the shutter. All instances but the first have the spare rank of the message, if it has one.
     """
     if rows.name.endswith(SENT):
         return spec.rank + _BEHIND_PULSES
@@ -199,7 +199,7 @@ def _rank(rows: DecodedRows, spec: MessageMap) -> int:
 
 
 def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
-    """The rows of a position with a fix; the place 0, 0 is no fix. The others are reported."""
+    """Drop rows of a position without a fix, and report them; the place 0, 0 means no fix."""
     lat_rad = rows.columns["lat_rad"]
     lon_rad = rows.columns["lon_rad"]
     good = np.isfinite(lat_rad) & np.isfinite(lon_rad)
@@ -215,12 +215,12 @@ def _with_fix(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
 
 
 def _numbered_exposures(rows: DecodedRows) -> DecodedRows:
-    """Exposures with a number, and with NaN where their place or attitude is unknown.
+    """Number exposures, and replace unknown places and attitudes by NaN.
 
-    - Where the log does not number them, the number of an exposure is that of its row.
-    - The place 0, 0 is unknown, and so is a latitude beyond a pole: in MAVLink the largest integer
-      means unknown.
-    - A logged attitude becomes the columns of an attitude.
+    - ``event_index`` is the number of the row, unless the log numbers the exposures.
+    - The place 0, 0 means unknown, and so does a latitude beyond a pole: in MAVLink the largest
+      integer means unknown.
+    - A logged attitude becomes the columns `QUATERNION`.
     """
     columns = dict(rows.columns)
     if "event_index" not in columns:
@@ -238,9 +238,9 @@ def _numbered_exposures(rows: DecodedRows) -> DecodedRows:
 
 
 def _attitudes_of_exposures(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """The attitude that a log has of each exposure, as the columns of an attitude; empty without.
+    """The columns `QUATERNION` from the attitude logged with each exposure; empty without one.
 
-    Angles that are all 0 are those of no attitude.
+    A row with all angles 0 has no attitude: NaN.
     """
     logged = [f"camera_{name}" for name in QUATERNION]
     if all(name in columns for name in logged):
@@ -256,10 +256,11 @@ def _attitudes_of_exposures(columns: Mapping[str, Array]) -> dict[str, Array]:
     return dict(zip(QUATERNION, quaternions.T, strict=True))
 
 
-def feedback_apart(rows: DecodedRows, ledger: Ledger) -> list[DecodedRows]:
-    """The rows of events; two parts where some are commands of a trigger, some pulses of a shutter.
+def split_by_feedback(rows: DecodedRows, ledger: Ledger) -> list[DecodedRows]:
+    """Split the rows of events into pulses of a shutter (``feedback`` > 0) and trigger commands.
 
-    The pulses keep the name, the commands are named ``.sent``.
+    Rows of one kind stay one part. If there are both, the pulses come first and keep the name; the
+    name of the commands gets the suffix `SENT`.
     """
     feedback = rows.columns.get("feedback")
     if feedback is None:
@@ -280,7 +281,7 @@ def feedback_apart(rows: DecodedRows, ledger: Ledger) -> list[DecodedRows]:
 
 
 def _make_unit_quaternions(columns: dict[str, Array]) -> None:
-    """Replace Euler angles or quaternions by unit quaternions, in the memory of what was logged."""
+    """Replace Euler angles or quaternions by unit quaternions, in place."""
     has_angles = "roll_rad" in columns
     logged = _EULER if has_angles else QUATERNION
     parts = [columns[name] for name in logged]
@@ -297,7 +298,7 @@ def _make_unit_quaternions(columns: dict[str, Array]) -> None:
 
 
 def _quaternion_of_angles(numbers: Array) -> Array:
-    """(n, 4) roll, pitch, yaw [rad] and a free column -> (n, 4) w, x, y, z."""
+    """(n, 4) roll, pitch, yaw [rad] and an unused column -> (n, 4) quaternions w, x, y, z."""
     roll_rad = numbers[:, 0]
     pitch_rad = numbers[:, 1]
     yaw_rad = numbers[:, 2]
@@ -331,7 +332,10 @@ def channel_of_texts(rows: DecodedRows, spec: MessageMap) -> Channel | None:
 
 
 def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows:
-    """The rows without stray ones, whose time since boot fits no neighbour; those are reported."""
+    """Drop the rows marked in ``stray`` (n,), and report them.
+
+    The time since boot of a stray row does not fit its neighbours.
+    """
     if not stray.any():
         return rows
     ledger.add(
@@ -346,14 +350,14 @@ def without_stray(rows: DecodedRows, stray: Mask, ledger: Ledger) -> DecodedRows
 
 
 _POLE_RAD = np.pi / 2.0
-_FAILED = 0.0  # of ``result``: 1 is success, -1 a camera that does not answer (CameraCapture.msg)
+_FAILED = 0.0  # ``result`` of CameraCapture.msg: 1 is success, -1 a camera that does not answer
 
 
 def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
-    """The rows of a camera without those that report that the camera took no image.
+    """The rows of a camera, without rows that report a failed exposure.
 
-    Columns that are dropped: the ``result`` of the exposures, and an index that is 0 in all of
-    several rows, because mavros never fills it in.
+    The column ``result`` is dropped, and an ``event_index`` that is 0 in all of several rows:
+    mavros never fills it in.
     """
     columns: dict[str, Array] = dict(rows.columns)
     index = columns.get("event_index")
@@ -369,13 +373,12 @@ def captured_rows(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     if not failed.any():
         return captures
     count = int(np.count_nonzero(failed))
-    total = len(rows)
-    ledger.add(messages.failed_exposures(channel=rows.name, count=count, total=total))
+    ledger.add(messages.failed_exposures(channel=rows.name, count=count, total=len(rows)))
     return captures.take(~failed)
 
 
 def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> DecodedRows:
-    """The rows without repeats, which are reported; of events they are a loss.
+    """Drop repeated rows, and report them: as a loss if they are events.
 
     A repeat has the time of the row directly before it, or the time and all values of the first row
     with its time.
@@ -387,19 +390,12 @@ def _without_repeats(rows: DecodedRows, ledger: Ledger, *, event: bool) -> Decod
     if not count:
         return rows
     kind = Kind.LOSS if event else Kind.NOTE
-    ledger.add(
-        messages.repeated_rows(
-            kind=kind,
-            channel=rows.name,
-            count=count,
-            total=len(rows),
-        )
-    )
+    ledger.add(messages.repeated_rows(kind=kind, channel=rows.name, count=count, total=len(rows)))
     return rows.take(~repeats)
 
 
 def _equal_to_first_of_time(rows: DecodedRows) -> Mask:
-    """Which rows have all values of the first row with their time, and are not that row."""
+    """(n,) True for rows with all values of an earlier row, the first with the same time."""
     if not rows.columns:
         return np.zeros(len(rows), np.bool_)
     _, first, group = np.unique(rows.time_ns, return_index=True, return_inverse=True)
@@ -413,13 +409,13 @@ def _equal_to_first_of_time(rows: DecodedRows) -> Mask:
 
 
 def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
-    """The rows in strictly increasing time; where a clock was set back, a new boot begins.
+    """The rows in strictly rising time; where a clock was set back, a new boot begins.
 
-    Rows that are lost thereby, and settings of the clock, are reported.
+    Rows that are dropped, and settings of the clock, are reported.
     """
     if rows.time_rises():
         return rows
-    # of each row that is kept: how often the clock was set back before it
+    # stretch: for each kept row, how often the clock was set back before it
     kept, stretch = rows_in_time_order(rows.time_ns)
     all_rows = np.arange(len(rows))
     lost = np.setdiff1d(all_rows, kept)
@@ -440,13 +436,13 @@ def _in_rising_time(rows: DecodedRows, ledger: Ledger) -> DecodedRows:
     settings = int(stretch.max())
     ledger.add(messages.clock_set_back(channel=rows.name, count=settings))
     # each boot of the vehicle and each stretch in it becomes a boot of its own
-    numbers = np.stack([result.boot, stretch])
-    _, boot = np.unique(numbers, axis=1, return_inverse=True)
+    boot_and_stretch = np.stack([result.boot, stretch])
+    _, boot = np.unique(boot_and_stretch, axis=1, return_inverse=True)
     boot = boot.reshape(-1)
     return replace(result, boot=boot.astype(np.int16))
 
 
-# AP_GPS.h, DriverOptions::HeightEllipsoid: the receiver's height goes through the filter as it is.
+# AP_GPS.h, DriverOptions::HeightEllipsoid: the filter gets the ellipsoidal height of the receiver.
 HEIGHT_OPTION = "GPS_DRV_OPTIONS"
 _HEIGHT_ELLIPSOID = 1 << 4
 _MAX_OPTION = 1 << 15  # a parameter is a float; a damaged one may be anything
@@ -460,9 +456,9 @@ def with_both_heights(
 ) -> list[Channel]:
     """The channels with heights above sea level and above the ellipsoid, where both are known.
 
-    A receiver that gives one height and the undulation gives both. A setting among the
-    ``parameters`` may say that heights logged as above sea level are above the ellipsoid; in the
-    report of that, ``where`` names the message with the settings.
+    One height and the undulation give the other height. If `HEIGHT_OPTION` among the ``parameters``
+    has the bit for it, heights logged as above sea level are above the ellipsoid; this is reported,
+    with the name ``where`` of the message that has the parameters.
     """
     option = parameters.get(HEIGHT_OPTION, 0.0)
     is_ellipsoidal = 0.0 <= option < _MAX_OPTION and bool(int(option) & _HEIGHT_ELLIPSOID)
@@ -480,9 +476,9 @@ def _with_both_heights(
     *,
     is_ellipsoidal: bool,
 ) -> dict[str, Array]:
-    """The columns of a channel with both heights, as far as they are known, without undulation.
+    """The columns with ``h_msl_m`` and ``h_ellipsoid_m``, as far as known, without undulation.
 
-    ``is_ellipsoidal``: the height logged as above sea level is above the ellipsoid.
+    ``is_ellipsoidal``: the numbers logged as ``h_msl_m`` are heights above the ellipsoid.
     """
     result = dict(columns)
     undulation_m = result.pop("undulation_m", None)

@@ -11,7 +11,7 @@ from unbend.messages import Ledger
 class DamagedBytes:
     """Counts of the bytes that belong to no message.
 
-    bad_bytes : how many lie between messages.
+    bad_bytes : how many are between messages.
     first_bad : the place of the first of these, -1 without any.
     cut_bytes : those of a last message that the end of the file cuts off.
     places : at how many places the next message had to be searched.
@@ -31,16 +31,16 @@ class DamagedBytes:
             self.first_bad = begin
 
     def drop_searched(self, begin: int, end: int) -> None:
-        """Count bytes behind which the next message was found by a search, which takes time."""
+        """Count bytes that belong to no message, and the search that found the next message."""
         self.drop(begin, end)
         self.places += 1
 
     def is_hopeless(self, size: int) -> bool:
-        """Whether a file of so many bytes is damaged at more places than are searched."""
+        """Whether a file of ``size`` bytes has more places of damage than are searched."""
         return self.places > FREE_PLACES + size // BYTES_OF_PLACE
 
     def give_up(self, place: int, size: int) -> int:
-        """Count the rest of a hopeless file as damage; returns its end."""
+        """Count all bytes from ``place`` on as damage; returns ``size``, the end of the file."""
         self.unread_from = place
         self.drop(place, size)
         return size

@@ -1,6 +1,6 @@
-"""Reads data/field_maps.toml, where a message's fields and roles are declared.
+"""Reads data/field_maps.toml, which declares the fields and roles of each message.
 
-A field map says which field of a message is which column of a channel, in which unit.
+A field map assigns fields of a message to columns of a channel, with their units.
 """
 
 import re
@@ -59,10 +59,10 @@ class MessageMap:
 
     columns: tuple[FieldColumn, ...]
     roles: tuple[str, ...] = ()
-    rank: int = 50
-    id_field: str = ""  # tells instances apart, where the format has no instances of its own
-    # An id that all messages share is no instance: the channel has the plain name of its message.
-    one_id_names_nothing: bool = False
+    rank: int = 50  # among candidates for a role the smallest is chosen
+    id_field: str = ""  # distinguishes instances, where the format has none
+    # If all messages have the same id, their channel is named without it.
+    omits_only_id: bool = False
     time_field: str = "timestamp"  # the message's own time, where the format has none for all
     position: bool = False  # rows without a fix are dropped
     attitude: bool = False  # Euler angles become quaternions
@@ -86,7 +86,9 @@ def parse_columns(
     lines: Iterable[str],
     groups: Mapping[str, list[str]],
 ) -> Iterator[FieldColumn]:
-    """Columns as ``data/field_maps.toml`` writes them, the groups in their places.
+    """Parse the lines of ``columns`` in ``data/field_maps.toml``.
+
+    A line "@name" is replaced by the lines of that group. Raises ValueError for an invalid line.
 
     >>> [*parse_columns(["q_w q_x = q.0 q|old", "@a"], {"a": ["t_k = t [degC] unless 0"]})][1:]
     [FieldColumn(name='q_x', fields=('q', 'old'), unit='', missing=None, floor=None), \
@@ -113,18 +115,18 @@ FieldColumn(name='t_k', fields=('t',), unit='degC', missing=0.0, floor=None)]
 
 
 def _number_or_none(text: str | None) -> float | None:
-    """The number that a part of a line holds; None for a part that the line has not."""
+    """The number in an optional part of a line; None where the line lacks that part."""
     return None if text is None else float(text)
 
 
 @cache
 def message_maps(section: str) -> dict[str, MessageMap]:
-    """The messages of a format that are wanted: a section of ``data/field_maps.toml``."""
+    """The messages of a format that become channels: a section of ``data/field_maps.toml``."""
     maps: dict[str, MessageMap] = {}
     for name, field_map in MAPS[section].items():
         options = dict(field_map)
         template = MessageMap(())
-        if "like" in options:  # a message like an earlier one takes over all but its ranks
+        if "like" in options:  # the keys of an earlier message, but its ranks, are the defaults
             earlier_name = options.pop("like")
             template = maps[earlier_name]
             template = replace(template, rank=MessageMap.rank, spare_rank=None)
@@ -138,9 +140,9 @@ def message_maps(section: str) -> dict[str, MessageMap]:
 
 
 def to_si(raw: NDArray[Any], spec: FieldColumn) -> Array:
-    """Values of a log in SI, NaN where the log says unknown or the value is not finite.
+    """Convert logged values to SI; NaN where the value means unknown or is not finite.
 
-    Flags get their bits in the package's order.
+    Flags are not converted: their bits get the package's order.
 
     >>> to_si(np.array([-32768, 2000]), FieldColumn("temperature_k", ("t",), "cdegC", -32768))
     array([   nan, 293.15])
@@ -171,22 +173,22 @@ def _translated_flags(
 ) -> NDArray[np.int64]:
     """Flags of a log with their bits in the package's order.
 
-    ``pairs``: the number of a bit in the log, and in the package; the lowest ten bits are alike.
+    ``pairs``: the number of a bit in the log, and in the package; bits 0 to 9 are the same in both.
     """
     flags = bits & _SAME_FLAGS
-    for logged_bit, own_bit in pairs:
-        flags |= (bits >> logged_bit & 1) << own_bit
+    for logged_bit, package_bit in pairs:
+        flags |= (bits >> logged_bit & 1) << package_bit
     return flags
 
 
 def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
-    """The channel with the column of a role in SI, where the mission file states the true unit.
+    """Convert the column of a role to SI by the unit that the mission file states for it.
 
-    ``unit``: of `STATED_UNITS`. The numbers that get this unit are those of a bare ``value``; else
-    those of the column, converted back to the unit of the log: a driver that sends kPa in
-    SCALED_PRESSURE, which is in hPa, writes 81.25 for 81,250 Pa; that was read as 8125 Pa, and with
-    "kPa" stated becomes 81,250 Pa. A channel with neither is returned as it is. Raises MissionError
-    (CHANNEL-UNIT) for a unit of another quantity.
+    ``unit``: a key of `STATED_UNITS`. It is applied to the column ``value``, which has no unit of
+    its own; without one, to the column of the role, first converted back to the unit of the log.
+    Example: a driver sends kPa in SCALED_PRESSURE, which is in hPa. 81.25 was read as 8125 Pa, and
+    becomes 81,250 Pa if "kPa" is stated. A channel with neither column is returned unchanged.
+    Raises MissionError (CHANNEL-UNIT) for a unit of another quantity.
     """
     column, factor, offset = STATED_UNITS[unit]
     if column not in ROLE_COLUMNS[role]:
@@ -206,22 +208,22 @@ def in_stated_unit(channel: Channel, role: str, unit: str) -> Channel:
 
 
 def is_number(column: NDArray[Any]) -> bool:
-    """Whether a column holds one number a row."""
+    """Whether a column has one number a row."""
     return column.ndim == 1 and column.dtype.kind in "biuf"
 
 
 def extract(
     table: Mapping[str, NDArray[Any]],
     columns: tuple[FieldColumn, ...],
-    kept: Callable[[Array], Array] = np.asarray,
+    stored: Callable[[Array], Array] = np.asarray,
     used_up: dict[str, NDArray[Any]] | None = None,
 ) -> dict[str, Array]:
-    """The columns of a field map, in SI, that a decoded message has fields for.
+    """Convert the fields of a decoded message to the ``columns`` of its field map, in SI.
 
-    A field that is an array or a text where a number is expected is left out. Speed and course
-    become velocity, the vibrations of several axes that of the worst, the clippings of several
-    sensors their sum. ``kept`` makes the array that is returned of each column. Fields are removed
-    from ``used_up`` once no further column is made of them, because memory has its peak here.
+    A column without a field of numbers in the ``table`` is left out. Speed and course become
+    velocity, the vibrations of several axes their maximum, the clippings of several sensors their
+    sum. ``stored`` returns the array in which a column is kept, for example a copy. Fields that no
+    further column needs are removed from ``used_up``, because memory has its peak here.
     """
     result: dict[str, Array] = {}
     # the last column that each field may become: later columns replace earlier ones here
@@ -231,49 +233,49 @@ def extract(
         if field is None:
             continue
         in_si = to_si(table[field], spec)
-        result[spec.name] = kept(in_si)
+        result[spec.name] = stored(in_si)
         if used_up is not None and last_use[field] == spec.name:
             del used_up[field]
-    _make_velocity(result, kept)
-    vibrations = _taken(result, "vibration_m_s2_")
+    _make_velocity(result, stored)
+    vibrations = _popped(result, "vibration_m_s2_")
     if vibrations:
         worst = np.fmax.reduce(vibrations)
-        result["vibration_m_s2"] = kept(worst)
-    clippings = _taken(result, "clipping_")
+        result["vibration_m_s2"] = stored(worst)
+    clippings = _popped(result, "clipping_")
     if clippings:
         total = np.add.reduce(clippings)
-        result["clipping"] = kept(total)
+        result["clipping"] = stored(total)
     return result
 
 
 def _make_velocity(
     columns: dict[str, Array],
-    kept: Callable[[Array], Array],
+    stored: Callable[[Array], Array],
 ) -> None:
-    """Replace speed and course, in place, by the horizontal velocity.
+    """Replace speed and course by the horizontal velocity, in place.
 
-    The vertical velocity becomes NaN in rows that say that they have none.
+    The vertical velocity becomes NaN in rows that mark it as not measured.
     """
     if "speed_m_s" in columns and "course_rad" in columns:
         speed = columns.pop("speed_m_s")
         course = columns.pop("course_rad")
-        columns["v_north_m_s"] = kept(speed * np.cos(course))
-        columns["v_east_m_s"] = kept(speed * np.sin(course))
-    has_vertical_speed = columns.pop("has_vertical_speed", None)  # where not, the log writes 0
+        columns["v_north_m_s"] = stored(speed * np.cos(course))
+        columns["v_east_m_s"] = stored(speed * np.sin(course))
+    has_vertical_speed = columns.pop("has_vertical_speed", None)  # 0: not measured
     if has_vertical_speed is not None and "v_down_m_s" in columns:
         columns["v_down_m_s"][has_vertical_speed == 0.0] = np.nan
 
 
 def _field_of(spec: FieldColumn, table: Mapping[str, NDArray[Any]]) -> str | None:
-    """The first of the fields for a column that a table has as numbers; None without any."""
+    """The first field of a column that the table has with numbers; None without any."""
     for field in spec.fields:
         if field in table and is_number(table[field]):
             return field
     return None
 
 
-def _taken(columns: dict[str, Array], prefix: str) -> list[Array]:
-    """Remove the columns whose names begin with a prefix, and return them, sorted by name."""
+def _popped(columns: dict[str, Array], prefix: str) -> list[Array]:
+    """Remove the columns with a prefix in their names; returns them, sorted by name."""
     names = sorted(name for name in columns if name.startswith(prefix))
     return [columns.pop(name) for name in names]
 
@@ -293,6 +295,6 @@ def topic_of(name: str) -> str:
 
 PX4_TOPICS: Mapping[str, MessageMap] = {topic_of(name): spec for name, spec in PX4_MESSAGES.items()}
 
-UTC_FIELD = "time_utc_usec"  # Unix time [us] of receivers, beside their time since boot
+UTC_FIELD = "time_utc_usec"  # Unix time [us] of receivers, logged with their time since boot
 # Unix time [us] of an exposure, by the autopilot's own clock, which it sets now and then.
 CAPTURE_UTC_FIELD = "timestamp_utc"

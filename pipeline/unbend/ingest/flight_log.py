@@ -1,4 +1,4 @@
-"""What a log is once it is read, and what a log format has to offer."""
+"""The result of reading a log, and what the reader of a log format provides."""
 
 import difflib
 import hashlib
@@ -16,21 +16,26 @@ from unbend.ingest.utc_evidence import ClockAssessment, Witness, is_utc_time
 from unbend.messages import LOSSES, Ledger
 from unbend.notebook import html_table
 
-SIMILAR_NAMES = 3  # that a refusal lists first, of an unknown name
-LEAST_SIMILARITY = 0.5  # of these, as difflib counts it: half of the letters
+SIMILAR_NAMES = 3  # most names that the refusal of an unknown name suggests
+LEAST_SIMILARITY = 0.5  # of a suggested name, by difflib: half of the letters
 
 
 @dataclass(frozen=True, eq=False)
 class Contents:
     """The result of reading a file of one format.
 
-    ``messages`` by type or topic, wanted or not; ``channels`` (in a `Log` sorted, none empty);
-    ``bad_bytes`` of no valid message; ``lost_messages`` by the log's own numbers; ``boots`` of the
-    vehicle; ``time_base`` of its UTC in words; ``table`` decodes all messages of a type, or of one
-    instance; ``parameters`` as last logged; ``utc_sigma_s`` [s] of its UTC, NaN where unknown;
-    ``clocks``: what each clock is good for; ``recorded_ns``: when it was recorded,
-    by the recorder's clock [Unix ns].
-    ``unread_encodings`` of messages that are not read, each with a topic.
+    messages : the number of messages by type or topic, wanted or not.
+    channels : the decoded channels; in a `Log` they are sorted by name, and none is empty.
+    bad_bytes : how many bytes belong to no valid message.
+    lost_messages : how many messages are missing by the log's own numbers.
+    boots : how many power-ups of the vehicle the log covers.
+    time_base : where its UTC comes from, in words.
+    table : decodes all messages of a type, or those of one instance; None if the format cannot.
+    parameters : the settings of the vehicle as last logged.
+    utc_sigma_s : sigma of its UTC [s], NaN where unknown.
+    clocks : how good each clock of the log is.
+    recorded_ns : when it was recorded, by the recorder's clock [Unix ns]; None where unknown.
+    unread_encodings : the encodings of messages that are not read, each with one of its topics.
     """
 
     messages: Mapping[str, int]
@@ -49,10 +54,13 @@ class Contents:
 
 @dataclass(frozen=True)
 class LogFormat:
-    """A log format: ``title`` in messages; ``extensions`` in lower case with dot, the usual first.
+    """A log format and its reader.
 
-    ``matches`` says whether the first 64 KiB of a file look like it; ``read`` decodes the wanted
-    messages, and enters what is damaged or skipped; further clocks tell it the date.
+    name : in results; title : in messages to the user.
+    extensions : in lower case with the dot, the usual one first.
+    matches : whether the first 64 KiB of a file look like this format.
+    read : decodes the wanted messages; enters in the ledger what is damaged or skipped. The
+        witnesses are further clocks that know the date.
     """
 
     name: str
@@ -64,7 +72,7 @@ class LogFormat:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Log(Contents):
-    """A log that was read, and in ``ledger`` what was repaired, assumed, skipped and lost.
+    """A log that was read; its ``ledger`` lists what was repaired, assumed, skipped and lost.
 
     ``start_ns``, ``end_ns``: Unix time [ns] of the first and the last sample of any channel.
     """
@@ -101,16 +109,16 @@ class Log(Contents):
 
     @property
     def has_utc(self) -> bool:
-        """Whether all of its times are UTC; else those of some boots count from the boot."""
+        """Whether all times are UTC; if False, the times of some boots count from the boot."""
         return is_utc_time(self.start_ns)
 
     @property
     def duration_s(self) -> float:
-        """From the first sample to the last [s]."""
+        """The time from the first sample to the last [s]."""
         return (self.end_ns - self.start_ns) / 1e9
 
     def channel(self, name: str) -> Channel:
-        """The channel of that name, or a LogError that says what there is instead."""
+        """The channel of that name. Raises LogError (LOG-NO-CHANNEL), with the names that exist."""
         for channel in self.channels:
             if channel.name == name:
                 return channel
@@ -129,9 +137,9 @@ class Log(Contents):
         """All messages of one type as columns of one length, with the log's names and units.
 
         ``name``: a type or topic of `message_types`, or a channel, upper or lower case.
-        ``instance``: of which only the messages are wanted; None for that of the channel, or for
-        all. The rows are in the order of the file, damaged ones included. Raises LogError
-        (LOG-NO-TYPE, LOG-NO-TABLE).
+        ``instance``: only the messages of this instance. None: those of the instance of the channel
+        if ``name`` is a channel, else all. The rows are in the order of the file, damaged ones
+        included. Raises LogError (LOG-NO-TYPE, LOG-NO-TABLE).
         """
         kind, instance_of_channel = self._type_of(name)
         if instance is None:
@@ -145,10 +153,10 @@ class Log(Contents):
         return columns
 
     def _type_of(self, name: str) -> tuple[str, str | None]:
-        """The message type that a name means, and the instance where it is that of a channel.
+        """The message type that a user's name means; the instance too if it is that of a channel.
 
-        Tried in this order: a type as written, a type in upper or lower case, a channel. A name
-        that is none of these is returned as it is.
+        Tried in this order: a type as written, a type in upper or lower case, a channel. An unknown
+        name is returned as it is, with the instance None.
         """
         if name in self.messages:
             return name, None
@@ -176,7 +184,7 @@ class Log(Contents):
 
         vehicles = vehicles_of(self.channels)
         flight, roles = roles_of(self.channels)
-        if vehicles:  # several: what is said of the log is that of the first
+        if vehicles:  # with several, "flight" and "roles" of the log are those of the first vehicle
             flight = vehicles[0]["flight"]
             roles = vehicles[0]["roles"]
         return {
@@ -202,7 +210,7 @@ class Log(Contents):
 
 
 def _available(name: str, names: list[str]) -> str:
-    """The names of a log, first those that are similar to one that it does not have."""
+    """The ``names`` that a log has, in words; those similar to the unknown ``name`` come first."""
     similar = difflib.get_close_matches(name, names, n=SIMILAR_NAMES, cutoff=LEAST_SIMILARITY)
     listed = f"this log has {', '.join(names)}"
     if not similar:
@@ -220,7 +228,7 @@ def utc_text(time_ns: int) -> str:
 
 
 def utc_or_none(time_ns: int) -> str | None:
-    """The UTC of a time of a log as ISO 8601; None where it counts from a boot.
+    """A time of a log [ns] as ISO 8601 if it is UTC; None if it counts from a boot.
 
     >>> utc_or_none(90_000_000_000) is None
     True
@@ -231,13 +239,13 @@ def utc_or_none(time_ns: int) -> str | None:
 def describe(channel: Channel) -> dict[str, Any]:
     """A summary of a channel for ``unbend inspect --json``."""
     steps = np.diff(channel.time_ns) / 1e9
-    # events and texts come when they come, and fewer than three samples have no rate
+    # events and texts come irregularly, and fewer than three samples have no rate
     has_rate = "events" not in channel.roles and bool(channel.columns) and len(channel) >= 3
-    gaps = []
+    rows_before_gaps = []
     if has_rate:
-        gaps = np.flatnonzero(steps > channel.gap_limit_s()).tolist()
+        rows_before_gaps = np.flatnonzero(steps > channel.gap_limit_s()).tolist()
     listed_gaps = []
-    for row in gaps:
+    for row in rows_before_gaps:
         start = utc_or_none(int(channel.time_ns[row]))
         listed_gaps.append({"start_utc": start, "seconds": float(steps[row])})
     return {

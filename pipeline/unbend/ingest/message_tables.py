@@ -17,10 +17,10 @@ if in 1970, where UTC is unknown), ``boot``, ``system``, ``component``.
 """
 
 Piece = NDArray[Any] | int
-"""Some rows of a column; an integer stands for that many rows without a value."""
+"""Some rows of a column; an integer n means n rows without a value."""
 
 PLACE = "\0place"  # the column with the places of messages in the log; no field has such a name
-MAX_TEXTS = 16 << 20  # [bytes] of a column of str; a longer one is of objects
+MAX_TEXTS = 16 << 20  # [bytes] of a column of str; a larger one becomes a column of objects
 _BYTES_OF_LETTER = 4  # of a str in numpy
 EXACT = 1 << 53  # every integer up to here is a float64
 _WORD = 1 << 64  # the first integer that needs more than 64 bits
@@ -75,7 +75,7 @@ def _filled_values(values: list[Any], missing: Any) -> list[Any]:
 
 
 def _fit_64_bits(values: list[int]) -> bool:
-    """Whether int64 or uint64 holds all of these integers."""
+    """Whether all of these integers fit int64, or all fit uint64."""
     low = min(values)
     high = max(values)
     half = _WORD // 2
@@ -85,15 +85,15 @@ def _fit_64_bits(values: list[int]) -> bool:
 
 
 def _integers(values: list[int]) -> NDArray[Any]:
-    """Integers as int64, where that holds all of them, else as uint64."""
+    """Integers as int64 if all of them fit, else as uint64."""
     is_signed = min(values) < 0 or max(values) < _WORD // 2
     return np.array(values, np.int64 if is_signed else np.uint64)
 
 
 def _is_exact_as_float(value: Any) -> bool:
-    """Whether a float64 holds a value unchanged, as it holds all but large integers.
+    """Whether a value is unchanged as float64: False for some large integers.
 
-    None, which becomes NaN, counts as held.
+    True for None, which becomes NaN.
     """
     if not isinstance(value, int) or abs(value) <= EXACT:
         return True
@@ -104,13 +104,13 @@ def _is_exact_as_float(value: Any) -> bool:
 def _objects(values: list[Any]) -> NDArray[Any]:
     """Values of any kind as a column of objects."""
     column = np.empty(len(values), object)
-    for row, value in enumerate(values):  # assigned at once, lists of one length become an array
-        column[row] = value
+    for row, value in enumerate(values):
+        column[row] = value  # row by row: all at once, lists of equal length become a 2-D array
     return column
 
 
 def rows_by_value(column: NDArray[Any]) -> Iterator[tuple[Any, Rows]]:
-    """The values of a column, rising, and the rows of each.
+    """Yield each distinct value of a column, rising, with its rows.
 
     >>> [(value, rows.tolist()) for value, rows in rows_by_value(np.array([7, 5, 7]))]
     [(5, [1]), (7, [0, 2])]
@@ -118,7 +118,7 @@ def rows_by_value(column: NDArray[Any]) -> Iterator[tuple[Any, Rows]]:
     order = np.argsort(column, kind="stable")
     sorted_values = column[order]
     is_new = sorted_values[1:] != sorted_values[:-1]
-    first_of_each = np.flatnonzero(is_new) + 1  # but of the first value
+    first_of_each = np.flatnonzero(is_new) + 1  # without the first value, which begins at 0
     for rows in np.split(order, first_of_each):
         if rows.size:  # a column without values has no rows
             (value,) = column[rows[:1]].tolist()
@@ -126,9 +126,10 @@ def rows_by_value(column: NDArray[Any]) -> Iterator[tuple[Any, Rows]]:
 
 
 def in_order(tables: Sequence[Table]) -> Table:
-    """Tables with `PLACE` as one table in the order of the log, their columns by `join_pieces`.
+    """Join tables with `PLACE` to one table in the order of the log.
 
-    Several tables are emptied, column by column, so that memory does not hold columns twice.
+    Columns are joined by `join_pieces`. Several ``tables`` are emptied, column by column, so that
+    no column is in memory twice.
     """
     whole = tables[0] if len(tables) == 1 else _joined(tables)
     places = whole[PLACE]
@@ -149,7 +150,7 @@ def take_rows(table: Mapping[str, NDArray[Any]], rows: Mask | Rows) -> Table:
 
 
 def _joined(tables: Sequence[Table]) -> Table:
-    """Tables end to end; takes their columns out of them one by one, so that memory is freed."""
+    """Tables end to end; their columns are removed from them one by one, which frees memory."""
     names = dict.fromkeys(name for table in tables for name in table)
     counts = [table[PLACE].shape[0] for table in tables]
     filled = 0
@@ -200,8 +201,8 @@ def _joined_without_loss(pieces: Sequence[Piece]) -> NDArray[Any] | None:
         return None
     joined = np.concatenate(_filled(pieces, arrays))
     if joined.dtype.kind != "f":
-        return joined  # only floats alter values: large integers that become such
-    # Without floats and missing rows, numpy has made floats of integers of different types.
+        return joined  # only floats alter values: those of large integers
+    # Floats although no piece has floats and no row is missing: from int64 joined with uint64.
     rows_are_missing = len(arrays) < len(pieces)
     if not rows_are_missing and "f" not in kinds:
         return None
@@ -226,7 +227,7 @@ def _filled(
     pieces: Sequence[Piece],
     arrays: Sequence[NDArray[Any]],
 ) -> list[NDArray[Any]]:
-    """The pieces, with NaN or empty texts in the shape of the others for missing rows.
+    """The pieces as arrays; rows without a value become NaN or empty texts, in the shape of others.
 
     Missing rows have the type of the first array of floats or texts, float64 among integers.
     """
@@ -249,9 +250,9 @@ def _filled(
 
 
 def _fits_float(array: NDArray[Any]) -> bool:
-    """Whether a float64 holds all values of an array unchanged.
+    """Whether all values of an array are unchanged as float64.
 
-    Only integers of 64 bits may be too large for that; those are judged by their range.
+    Only integers of 64 bits may be too large for that: they are compared with `EXACT`.
     """
     is_of_64_bits = array.dtype.kind in "iu" and array.dtype.itemsize == 8
     if not is_of_64_bits or not array.size:

@@ -1,6 +1,6 @@
-"""What the log formats say in common: codes, and one function for each message and refusal.
+"""Messages that several log formats share: codes, and one function for each message and refusal.
 
-What only one format says stands in ``messages.py`` of its folder.
+Messages of a single format are in ``messages.py`` of its folder.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ LOG_MISSING = Code(
 
 
 def log_missing(*, path: str, what: str) -> LogError:
-    """The path of a log is that of no file."""
+    """The path of a log does not lead to a file."""
     return LogError(
         LOG_MISSING, "{what}", where=path, remedy="check the path of the log", what=what
     )
@@ -130,7 +130,7 @@ def unknown_format(*, path: str, extension: str, known: str) -> LogError:
 def no_whole_message(
     *, path: str, title: str, size: int, damage: Sequence[Message], known: str
 ) -> LogError:
-    """A file of the right extension holds no message of its format."""
+    """A file with the extension of a format has no complete message; ``damage`` lists why."""
     listed = "".join(f"; {message.what} ({message.where})" for message in damage)
     return LogError(
         LOG_FORMAT,
@@ -155,7 +155,7 @@ LOG_NO_MESSAGES = Code(
 def no_wanted_messages(
     *, path: str, total: int, kinds: Sequence[str], unread: Mapping[str, str]
 ) -> LogError:
-    """No message of a log becomes a channel; ``unread`` are encodings, each with a topic."""
+    """No message of a log becomes a channel; ``unread``: a topic by encoding that is not read."""
     if unread:
         listed = [f"{encoding} ({topic})" for encoding, topic in unread.items()]
         return LogError(
@@ -179,7 +179,7 @@ def no_wanted_messages(
     )
 
 
-# What is asked of a log that was read.
+# Requests to a log that was read.
 
 LOG_NO_CHANNEL = Code(
     "LOG-NO-CHANNEL",
@@ -288,7 +288,7 @@ LOG_TRUNCATED = Code(
 
 
 def cut_off(*, file: str, count: int, unit: str) -> Message:
-    """The end of a file lies in a message; ``unit`` is the format's word for one."""
+    """The end of a file cuts off a message; ``unit`` is the format's word for a message."""
     return loss(
         LOG_TRUNCATED,
         (
@@ -339,7 +339,7 @@ def too_many_boots(*, count: int, most: int) -> LogError:
 
 
 def too_many_definitions(*, name: str, most: int) -> LogError:
-    """A log defines a message anew more often than firmware ever changed it."""
+    """A log has too many different definitions of one message."""
     return LogError(
         LOG_TOO_LARGE,
         "{name} is defined in more than {most} different ways",
@@ -350,7 +350,7 @@ def too_many_definitions(*, name: str, most: int) -> LogError:
 
 
 def too_many_redefinitions(*, name: str, most: int) -> LogError:
-    """A type of record of a binary log is defined in turns."""
+    """Types of records in a binary log change their definition too often, last that of ``name``."""
     return LogError(
         LOG_TOO_LARGE,
         (
@@ -364,7 +364,7 @@ def too_many_redefinitions(*, name: str, most: int) -> LogError:
 
 
 def too_many_senders(*, count: int, most: int) -> LogError:
-    """A telemetry log has more senders than a swarm."""
+    """A telemetry log has too many senders."""
     return LogError(
         LOG_TOO_LARGE,
         "{senders} sent messages; at most {most} are read",
@@ -375,7 +375,7 @@ def too_many_senders(*, count: int, most: int) -> LogError:
 
 
 def too_many_fields(*, count: int, most: int) -> LogError:
-    """The formats of a PX4 log nest more fields than any message has bytes."""
+    """The formats of a PX4 log have too many fields, nested ones included."""
     return LogError(
         LOG_TOO_LARGE,
         "its formats have {fields} or more; at most {most} are read",
@@ -386,7 +386,7 @@ def too_many_fields(*, count: int, most: int) -> LogError:
 
 
 def table_too_wide(*, columns: int, rows: int, filled: int, most: int) -> LogError:
-    """The messages of a table have so many fields of their own that most values are missing."""
+    """The messages of a table have different fields, so that most values would be missing."""
     return LogError(
         LOG_TOO_LARGE,
         "{rows} messages with {filled} values have {columns} fields together: the table would have "
@@ -478,7 +478,7 @@ EVENTS_BOTH = Code(
 
 
 def pulses_and_commands(*, channel: str, pulses: int, sent: str, commands: int) -> Message:
-    """Events of two kinds in one topic."""
+    """One topic has pulses of a shutter, and commands of a trigger for the channel ``sent``."""
     return note(
         EVENTS_BOTH,
         "{pulses} rows are pulses of the shutter (channel {channel}), {commands} are commands of "
@@ -625,7 +625,7 @@ TIME_REBOOT = Code(
 
 
 def restarted(*, where: str, count: int) -> Message:
-    """The difference of UTC and time since boot steps at a silence."""
+    """The difference of UTC and time since boot steps at a gap of the log."""
     return warning(
         TIME_REBOOT,
         (
@@ -647,7 +647,7 @@ TIME_NO_UTC = Code(
 
 
 def no_utc(*, where: str, utc_of: str) -> Message:
-    """Nothing ties the time since boot to UTC; ``utc_of``: what does in this format."""
+    """No clock of the log gives UTC; ``utc_of`` names what gives it in this format."""
     return fallback(
         TIME_NO_UTC,
         "no {utc_of}: time counts from boot and is shown as 1970; events in this log can be used, "
@@ -666,7 +666,7 @@ TIME_SOURCES = Code(
 
 
 def sources_disagree(*, where: str, rows: int, source: str, apart_s: float, used: str) -> Message:
-    """A source of UTC differs from the one in use by more than 1 s."""
+    """A source of UTC, of so many ``rows``, differs by more than 1 s from the source in use."""
     return loss(
         TIME_SOURCES,
         "{source} give a UTC that differs by {apart_s:+.3f} s from that of {used}, which are used",
@@ -789,7 +789,10 @@ def utc_accuracy(
 def fix_delay(
     *, receiver: str, fixes: int, utc_sigma_s: float | None, delay_s: float, origin: str
 ) -> Message:
-    """How late fixes are stamped, where UTC is not the receiver's."""
+    """How late fixes are stamped, in a log that has UTC from another clock than the receiver's.
+
+    ``utc_sigma_s``: of this UTC [s]; None if UTC is unknown.
+    """
     accuracy = (
         "is unknown" if utc_sigma_s is None else f"is accurate to {utc_sigma_s:.1f} s (1 sigma)"
     )
@@ -837,7 +840,7 @@ HEIGHT_ELLIPSOID = Code(
 
 
 def heights_above_ellipsoid(*, where: str, parameter: str) -> Message:
-    """The autopilot was set to use the receiver's height above the ellipsoid."""
+    """A parameter makes the autopilot use the receiver's height above the ellipsoid."""
     return note(
         HEIGHT_ELLIPSOID,
         (

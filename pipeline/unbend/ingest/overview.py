@@ -1,4 +1,4 @@
-"""What a log says of its flight, and which channel a mission would take for each role."""
+"""Summary of the flight of a log, and the channel that a mission would take for each role."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,8 +22,8 @@ from unbend.units import NANOSECONDS_PER_SECOND, Array
 _ROLES = ("position", "height", "attitude", "pressure", "temperature", "humidity", "airspeed")
 _CABIN = ("cabin_pressure", "cabin_temperature", "cabin_humidity")
 
-MAX_HEIGHT_GAP_S = 5.0  # that heights are interpolated across, at the times of positions
-HEIGHT_PERCENTILES = (0.1, 99.9)  # the lowest and the highest without single wrong samples
+MAX_HEIGHT_GAP_S = 5.0  # the longest gap across which heights are interpolated
+HEIGHT_PERCENTILES = (0.1, 99.9)  # lowest and highest: single wrong samples are outside
 SEA_LEVEL = "sea level"
 _HEIGHT_REFERENCES = {"h_msl_m": SEA_LEVEL, "h_ellipsoid_m": "ellipsoid"}
 
@@ -36,10 +36,11 @@ def flight_of(
 ) -> dict[str, Any]:
     """Place, day and heights of a flight, from its channels of position and height.
 
-    Latitude and longitude where the log begins, to 0.001 degrees (100 m). Heights [m] above
-    ``height_reference``, 0.1 to 99.9 percentile; ``take_off_m`` above ``take_off_reference``: that
-    is ``home_m``, the log's own take-off height above sea level, if there is one; else where the
-    log begins standing still, and not in a hover by the ``evidence`` of the log. What is unknown is
+    Latitude and longitude are those of the first known position, to 0.001 degrees (100 m).
+    ``lowest_m`` and ``highest_m`` above ``height_reference`` are the percentiles
+    `HEIGHT_PERCENTILES`. ``take_off_m`` above ``take_off_reference`` is ``home_m``, the take-off
+    height above sea level that the log states, if it is given; else the height at the begin of the
+    log if the vehicle is at rest there, and not hovering by the ``evidence``. Unknown values are
     None; without any position the result is empty.
     """
     lat_rad = position["lat_rad"]
@@ -81,7 +82,7 @@ def flight_of(
 
 
 def _limits_of_heights(heights_m: Array) -> list[float | None]:
-    """The lowest and the highest of the known heights, without single wrong samples."""
+    """The lowest and the highest height at `HEIGHT_PERCENTILES`; None for both without heights."""
     known_m = heights_m[np.isfinite(heights_m)]
     if not known_m.size:
         return [None, None]
@@ -90,10 +91,11 @@ def _limits_of_heights(heights_m: Array) -> list[float | None]:
 
 
 def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The flight (`flight_of`), and for each role the channel that is chosen automatically.
+    """The flight as by `flight_of`, and a row for each role with the channel chosen automatically.
 
-    With each role: ``rate_hz`` and ``samples`` of its channel, a ``remark`` (how good the samples
-    are, or why no channel is chosen), and ``others`` that a mission file may name instead.
+    A row has ``rate_hz`` and ``samples`` of the channel, a ``remark`` (how good the samples are, or
+    why no channel is chosen), and ``others``: channels that a mission file may name instead. The
+    flight is empty without a channel of positions or of heights.
     """
     chosen, notes = assign_roles(channels, {}, needs_cabin=False)
     position = chosen.get("position")
@@ -116,7 +118,7 @@ def roles_of(channels: Sequence[Channel]) -> tuple[dict[str, Any], list[dict[str
 
 
 def _plausible(channel: Channel, role: str) -> Channel:
-    """The plausible samples of a channel; all of them where the unit is of another quantity."""
+    """The channel without implausible samples; unchanged if its unit is of another quantity."""
     try:
         kept, _ = plausible_samples(channel, role)
     except MissionError:
@@ -125,7 +127,7 @@ def _plausible(channel: Channel, role: str) -> Channel:
 
 
 def vehicles_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
-    """Each vehicle of a log of several, and the roles that its channels would play."""
+    """The flight and the roles of each vehicle; empty for a log of one vehicle."""
     vehicles = Vehicles.of(channels)
     rows = []
     for name in vehicles.names:
@@ -135,7 +137,7 @@ def vehicles_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
 
 
 def receivers_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
-    """Each receiver of a log: its vehicle, what it is good for, and why.
+    """A row for each receiver of a log: its vehicle, the roles it is used for, and why.
 
     With several vehicles each receiver is of one of them, because a sender of positions is a
     vehicle (`Vehicles.of`). A receiver of none would be left out.
@@ -160,7 +162,7 @@ def receivers_of(channels: Sequence[Channel]) -> list[dict[str, Any]]:
 
 
 def _use_of_receiver(channel: Channel, chosen: Mapping[str, Channel]) -> str:
-    """The roles of a receiver, or of which channel it is the spare."""
+    """The roles of a receiver; without a role, the channel of height that it can replace."""
     roles = [role for role in ("position", "height") if chosen.get(role) is channel]
     if roles:
         return ", ".join(roles)
@@ -169,7 +171,7 @@ def _use_of_receiver(channel: Channel, chosen: Mapping[str, Channel]) -> str:
 
 
 def _why_of_receiver(channel: Channel, chosen: Mapping[str, Channel]) -> str:
-    """What speaks for and against a receiver: its own report, its end, its distance from others."""
+    """Its reported accuracy, its distance from the chosen position, and its early end."""
     reasons = []
     sigma_m = channel.get("sigma_h_m")
     hdop = channel.get("hdop")
@@ -192,28 +194,28 @@ def _why_of_receiver(channel: Channel, chosen: Mapping[str, Channel]) -> str:
 
 
 def _row(
-    role: str, able: Sequence[str], remark: str, channel: Channel | None = None
+    role: str, candidates: Sequence[str], remark: str, channel: Channel | None = None
 ) -> dict[str, Any]:
-    """What is said of a role, the channel that plays it, and those that are ``able`` to."""
+    """The row of a role (`roles_of`); ``channel`` is None if none of the candidates is chosen."""
     name = None if channel is None else channel.name
     return {
         "role": role,
         "channel": name,
         "rate_hz": None if channel is None else channel.rate_hz,
         "samples": None if channel is None else len(channel),
-        "others": [other for other in able if other != name],
+        "others": [other for other in candidates if other != name],
         "remark": remark,
     }
 
 
 def _can_play(channel: Channel, role: str) -> bool:
-    """Whether a channel takes a role by itself, and has what that needs."""
+    """Whether a channel is a candidate for a role without being named, with all columns for it."""
     return role in channel.roles and channel.fits_role(role)
 
 
-def _why_none(role: str, able: Sequence[str], notes: Notes) -> str:
-    """Why no channel plays a role, in a few words."""
-    if not able:
+def _why_none(role: str, candidates: Sequence[str], notes: Notes) -> str:
+    """Why none of the candidates is chosen for a role; ``notes`` are those of `assign_roles`."""
+    if not candidates:
         return "none in the log"
     if role == "events":
         return "named for each camera: events.log"
@@ -228,8 +230,9 @@ def _why_none(role: str, able: Sequence[str], notes: Notes) -> str:
 def remark_on(channel: Channel, role: str, height: Channel | None) -> str:
     """How good the samples of a channel are for a role, in a few words.
 
-    Said is the first that holds: the unit is of another quantity; samples are not used, and why;
-    the pressure follows the height or not; else the samples are plausible.
+    The first remark that applies: the unit is of another quantity; samples are not used, and why;
+    the pressure follows the height or not; the samples are plausible. ``height``: the channel
+    chosen for that role, None without one.
     """
     try:
         kept, _ = plausible_samples(channel, role)

@@ -1,7 +1,7 @@
-"""Dates of the stamps that logs carry as they are, such as ``header.stamp`` of ROS.
+"""Checks the dates of stamps that a log has as Unix time, such as ``header.stamp`` of ROS.
 
-Times since boot are set to UTC by `boot_clock`, which judges the dates of its sources. Stamps that
-come as Unix time are judged here, by the same rule.
+Times since boot are set to UTC by `boot_clock`, which checks the dates of its sources by the same
+rule.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,9 +35,9 @@ def with_possible_dates(
 ) -> Contents:
     """The contents, with channels of an impossible date moved to a possible date.
 
-    The other clocks of the log decide by how much: the recorder's, and the ``witnesses``, which are
-    what the mission file and the name of the file state. Where no date can be accepted, the times
-    of these channels count from the first of them, and UTC is unknown.
+    They are moved by rollovers of the GPS week, on which the other clocks decide: that of the
+    recorder, and the ``witnesses`` (mission file, name of the file). If no date can be accepted,
+    the times of these channels count from their first sample, and UTC is unknown.
     """
     impossible = [channel for channel in contents.channels if _is_impossible(channel)]
     if not impossible:
@@ -67,12 +67,15 @@ def with_possible_dates(
 def _reported_rollovers(
     impossible: Sequence[Channel], clocks: Sequence[Witness], ledger: Ledger
 ) -> int:
-    """How many rollovers the stamps of some channels lack; 0 where no date can be accepted."""
+    """How many rollovers the ``impossible`` channels lack; 0 if no date can be accepted.
+
+    Either result is reported.
+    """
     stated_ns = min(_middle_ns(channel) for channel in impossible)
     stated_date = date_text(stated_ns)
     names = ", ".join(channel.name for channel in impossible)
     rollovers = missed_rollovers(stated_ns, clocks, of_receiver=False)
-    if rollovers:  # never 0 of an impossible date; None where no clock confirms one
+    if rollovers:  # None if no date can be accepted; 0 would mean that the date is possible
         ledger.add(
             messages.week_rollover(
                 where=names,
@@ -100,7 +103,7 @@ def _middle_ns(channel: Channel) -> int:
 
 
 def _is_impossible(channel: Channel) -> bool:
-    """Whether a channel states a UTC that no log can have."""
+    """Whether a channel has times that are UTC, but of an impossible date."""
     if not len(channel):
         return False
     middle_ns = _middle_ns(channel)
@@ -109,9 +112,9 @@ def _is_impossible(channel: Channel) -> bool:
 
 
 def _later(channel: Channel, shift_ns: int, ledger: Ledger) -> Channel:
-    """The channel with its times later by a shift.
+    """The channel with its times later by a shift [ns].
 
-    Samples centuries away, which would have no time of 64 bits then, are a loss.
+    Samples with a shifted time that does not fit 64 bits are dropped, and reported as a loss.
     """
     can_move = _can_move(channel.time_ns, shift_ns)
     if not can_move.all():
@@ -128,7 +131,7 @@ def _later(channel: Channel, shift_ns: int, ledger: Ledger) -> Channel:
 
 
 def _can_move(time_ns: TimeArray, shift_ns: int) -> Mask:
-    """Whether times (n,) are still of 64 bits when they are later by a shift."""
+    """(n,) whether times [ns] still fit 64 bits when the shift [ns] is added."""
     limits = np.iinfo(np.int64)
     can_move: Mask
     if shift_ns > 0:
@@ -139,7 +142,7 @@ def _can_move(time_ns: TimeArray, shift_ns: int) -> Mask:
 
 
 def _later_table(contents: Contents, shift_ns: int) -> TableReader | None:
-    """A function that decodes tables as that of the contents, with impossible times moved."""
+    """A function like ``contents.table`` that adds the shift [ns] to impossible times."""
     table = contents.table
     if table is None:
         return None

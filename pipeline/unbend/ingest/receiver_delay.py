@@ -1,7 +1,8 @@
 """The delay of a GNSS receiver: an autopilot stamps a fix 80 to 220 ms after its epoch.
 
-UTC comes from these stamps, so until here it is late for everything but the fixes themselves. The
-positions of the autopilot's filter already allow for it, and move along the axis of UTC.
+The UTC of a log is fitted to these stamps. Before this module corrects it, all times but those of
+the fixes are too early by the delay. The positions of the autopilot's filter already allow for the
+delay: they are corrected like all other channels.
 """
 
 import math
@@ -38,25 +39,25 @@ UNKNOWN_SIGMA_S = 0.15  # without a setting and an estimate nothing is applied; 
 # A filter that allows for a wrong delay leads or lags by the difference, which the estimate takes
 # up: 11 and 21 ms on the logs of ArduPilot's simulator.
 _FILTER_SIGMA_S = 0.015
-_LARGEST_MEDIAN_SIGMA_S = 0.015  # rows of one delay agree better than that
+_LARGEST_MEDIAN_SIGMA_S = 0.015  # more means that the rows do not have one common delay
 _LARGEST_DELAY_S = 0.5
 _LEAST_DELAY_S = 0.005  # receivers need more; positions that are closer are stamped at their epoch
-_LEAST_ROWS = 100  # of a fast flight; the median of fewer is not sure enough
-_LEAST_SPEED_M_S = 2.0  # below, the noise of the fixes is more than a delay makes
-_FAST_SHARE = 0.5  # of the 90th percentile of the speed: faster rows are used
+_LEAST_ROWS = 100  # in fast flight; the median of fewer is too uncertain
+_LEAST_SPEED_M_S = 2.0  # below, the noise of the fixes exceeds the effect of a delay
+_FAST_SHARE = 0.5  # only rows above this share of the 90th percentile of the speed are used
 MOST_ROWS = 10_000  # more are thinned evenly
 
-_FIRST_GUESS_S = 0.1  # u-blox receivers are near it
-_REFINEMENTS = 4  # the step is below 0.1 ms then
-_HALF_BASE_NS = 250_000_000  # the speed is that over twice this time [ns]
-_CORRELATION_S = 5.0  # what is left between filter and receiver lasts so long
-_SIGMA_OF_MAD = 1.4826  # of a normal distribution, over its median absolute deviation
-_SIGMA_OF_MEDIAN = 1.2533  # over that of the mean: sqrt(pi / 2)
+_FIRST_GUESS_S = 0.1  # near the delay of u-blox receivers
+_REFINEMENTS = 4  # then the last step is below 0.1 ms
+_HALF_BASE_NS = 250_000_000  # [ns] the speed is the mean over twice this time
+_CORRELATION_S = 5.0  # correlation time of the differences between filter and receiver
+_SIGMA_OF_MAD = 1.4826  # sigma of a normal distribution over its median absolute deviation
+_SIGMA_OF_MEDIAN = 1.2533  # sigma of a median over sigma of a mean: sqrt(pi / 2)
 
 
 @dataclass(frozen=True)
 class ReceiverDelay:
-    """Stamp minus epoch of the fixes of a receiver [s], its sigma [s], and where it comes from."""
+    """Stamp minus epoch of a receiver's fixes [s], its sigma [s], and its origin in words."""
 
     delay_s: float
     sigma_s: float
@@ -64,10 +65,10 @@ class ReceiverDelay:
 
 
 def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
-    """The contents with the delay of the receiver taken out of all times.
+    """The contents with all times corrected for the delay of the GNSS receivers.
 
-    The UTC of a fix is paired with its late stamp, so that every time of the vehicle is too early
-    by the delay of the receiver that sets UTC. Therefore:
+    The UTC of a fix was paired with its late stamp, so that all times of the vehicle are too early
+    by the delay of the receiver that gives UTC. Therefore:
 
     - All channels of its vehicle become later by that delay.
     - The fixes of each receiver become earlier by the receiver's own delay: their epochs.
@@ -104,9 +105,10 @@ def with_receiver_delay(contents: Contents, ledger: Ledger) -> Contents:
 
 
 def _accuracy_note(receiver: Channel, delay: ReceiverDelay, clock_sigma_s: float) -> Message:
-    """How accurate UTC is: by the delay of the receiver, or by the clock that gives UTC.
+    """The note on how accurate UTC is, and on the delay of the receiver.
 
-    ``clock_sigma_s``: 0 where a receiver gives UTC, NaN where UTC is unknown.
+    ``clock_sigma_s``: of the clock that gives UTC [s]; 0 if that is a receiver, NaN if UTC is
+    unknown.
     """
     if clock_sigma_s == 0.0:
         return messages.utc_accuracy(
@@ -126,7 +128,7 @@ def _accuracy_note(receiver: Channel, delay: ReceiverDelay, clock_sigma_s: float
 
 
 def _with_delay(assessment: ClockAssessment, delay: ReceiverDelay) -> ClockAssessment:
-    """What a clock is good for, with the uncertainty of the delay where a receiver sets it."""
+    """The assessment of a clock; if a receiver sets it, with the sigma of the delay added."""
     if assessment.sigma_s is None or assessment.sigma_s >= UNCHECKED_SIGMA_S:
         return assessment  # of unknown accuracy, or of a clock that no receiver sets
     sigma_s = float(np.hypot(assessment.sigma_s, delay.sigma_s))
@@ -136,7 +138,7 @@ def _with_delay(assessment: ClockAssessment, delay: ReceiverDelay) -> ClockAsses
 
 
 def _shifted(channel: Channel, shift_ns: int) -> Channel:
-    """The channel with its times later by a shift."""
+    """The channel with its times later by a shift [ns]."""
     if not shift_ns:
         return channel
     return replace(channel, time_ns=channel.time_ns + shift_ns)
@@ -145,7 +147,7 @@ def _shifted(channel: Channel, shift_ns: int) -> Channel:
 def _later_table(
     table: Callable[[str, str | None], Table] | None, later_ns: int
 ) -> Callable[[str, str | None], Table] | None:
-    """A function that decodes tables as ``table`` does, with their times later."""
+    """A function that decodes tables as ``table`` does, with times later by ``later_ns``."""
     if table is None:
         return None
 
@@ -159,7 +161,7 @@ def _later_table(
 
 
 def _delay_of(receiver: Channel, contents: Contents) -> ReceiverDelay:
-    """The delay of a receiver by the positions of its system's filter, or as it is stated."""
+    """The delay estimated against the filter of the receiver's system, else the stated delay."""
     for channel in contents.channels:
         is_fused = channel.source.message in _FUSED
         if is_fused and channel.source.system == receiver.source.system:
@@ -175,8 +177,9 @@ def stated_delay(
 ) -> ReceiverDelay:
     """The delay of a receiver by the first setting of the autopilot that states one.
 
-    - A setting above 0: that delay. One that no receiver has is passed over.
-    - A setting of 0: the delay that the driver assumes for the kind of receiver in ``texts``.
+    - A setting above 0: that delay, unless it is longer than `_LARGEST_DELAY_S`.
+    - A setting of 0: the delay that the driver assumes for the kind of receiver, which it names in
+      the ``texts`` of the log.
     - No setting: 0 s, with `UNKNOWN_SIGMA_S`.
     """
     for name in _settings_of(receiver):
@@ -184,8 +187,8 @@ def stated_delay(
         if 0.0 < value_ms < _LARGEST_DELAY_S * 1e3:
             return ReceiverDelay(value_ms / 1e3, STATED_SIGMA_S, f"by {name}")
         if value_ms == 0.0:
-            is_later = any(_LATER_UBLOX.search(text) for text in texts)
-            delay_s = _DELAY_OF_LATER_S if is_later else _DELAY_OF_OTHERS_S
+            is_later_ublox = any(_LATER_UBLOX.search(text) for text in texts)
+            delay_s = _DELAY_OF_LATER_S if is_later_ublox else _DELAY_OF_OTHERS_S
             origin = f"by the receiver's driver ({name} is 0)"
             return ReceiverDelay(delay_s, STATED_SIGMA_S, origin)
     origin = "because there is neither a setting nor positions of a filter to compare with"
@@ -193,31 +196,32 @@ def stated_delay(
 
 
 def _settings_of(receiver: Channel) -> Sequence[str]:
-    """The names of the settings of a first or of a second receiver."""
+    """The names of the settings for a receiver: those of a first or of a second one."""
     is_second = "2" in receiver.source.message or receiver.source.instance not in (None, "0")
     return _SETTINGS_OF_SECOND if is_second else _SETTINGS_OF_FIRST
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """Fixes of a receiver beside the positions of a filter, both as stamped."""
+    """Fixes of a receiver and the positions of a filter, both at the times of their stamps."""
 
     fused: Channel  # the positions of the filter
     time_ns: TimeArray  # (n,) of the fixes
     fixes_rad: Array  # (2, n) latitude and longitude
-    m_per_rad: Array  # (2, 1) north and east
+    m_per_rad: Array  # (2, 1) to north and to east
 
     def places_rad(self, time_ns: TimeArray) -> Array:
-        """Latitude and longitude of the filter at other times."""
+        """(2, n) latitude and longitude of the filter at (n,) other times; NaN in its gaps."""
         limit_s = self.fused.gap_limit_s()
         latitude = interpolate(self.fused, "lat_rad", time_ns, limit_s)
         longitude = interpolate(self.fused, "lon_rad", time_ns, limit_s)
         return np.stack([latitude, longitude])
 
     def delays_beyond(self, delay_s: float) -> Array:
-        """By how much longer than ``delay_s`` each fix in fast flight is late [s].
+        """The delay of each fix in fast flight, minus ``delay_s`` [s].
 
-        Empty where there are too few fixes to estimate a delay.
+        A fix lags the position of the filter by the speed times the delay; so the delay is
+        -(difference . velocity) / speed^2. Empty if there are too few fixes for an estimate.
         """
         epoch_ns = self.time_ns - round(delay_s * 1e9)
         apart_m = wrapped(self.fixes_rad - self.places_rad(epoch_ns)) * self.m_per_rad
@@ -234,18 +238,16 @@ class _Motion:
         is_fast = is_known & (speed_squared > least_m_s**2)
         if np.count_nonzero(is_fast) < _LEAST_ROWS:
             return np.empty(0)
-        # How far a fix lies behind, along the flight, over the speed: both times the speed.
-        behind = -(apart_m * speed_m_s).sum(axis=0)
-        return np.asarray(behind[is_fast] / speed_squared[is_fast])
+        lag_times_speed = -(apart_m * speed_m_s).sum(axis=0)
+        return np.asarray(lag_times_speed[is_fast] / speed_squared[is_fast])
 
 
 def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
-    """The delay of fixes behind the positions of the filter that follows them, both as stamped.
+    """Estimate the delay of fixes against the positions of the filter that uses them.
 
-    Fixes lie behind by the speed times the delay; the median of all rows in fast flight counts.
-    A delay of less than `_LEAST_DELAY_S` is returned as 0: the fixes are stamped at their epochs.
-    None where the rows in fast flight are few or do not agree, and where their delay is one that no
-    receiver has.
+    The estimate is the median over the fixes in fast flight, which lag by the speed times the
+    delay. Less than `_LEAST_DELAY_S` is returned as 0: such fixes are stamped at their epochs. None
+    if these fixes are few or do not agree, or if their delay is impossible for a receiver.
 
     Against the positions of the filter the delay was good to 1 ms in two simulator flights. The
     filter itself was 11 and 21 ms ahead of the truth: `_FILTER_SIGMA_S` allows for that.
@@ -262,13 +264,13 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
         m_per_rad=np.array([[float(meridian_m)], [east_m_per_rad]]),
     )
     delay_s = _FIRST_GUESS_S
-    behind_s = np.empty(0)
+    excess_s = np.empty(0)
     for _ in range(_REFINEMENTS):
-        behind_s = motion.delays_beyond(delay_s)
-        if not behind_s.size:
+        excess_s = motion.delays_beyond(delay_s)
+        if not excess_s.size:
             return None
-        delay_s += float(np.median(behind_s))
-    median_sigma_s = _sigma_of_median(behind_s, receiver.rate_hz / step)
+        delay_s += float(np.median(excess_s))
+    median_sigma_s = _sigma_of_median(excess_s, receiver.rate_hz / step)
     if median_sigma_s > _LARGEST_MEDIAN_SIGMA_S:
         return None
     if not -_LEAST_DELAY_S < delay_s < _LARGEST_DELAY_S:
@@ -277,13 +279,16 @@ def estimated_delay(receiver: Channel, fused: Channel) -> ReceiverDelay | None:
     return ReceiverDelay(
         delay_s=0.0 if is_stamped_at_epoch else delay_s,
         sigma_s=float(np.hypot(median_sigma_s, _FILTER_SIGMA_S)),
-        origin=f"estimated from {behind_s.size} of them against {fused.name}",
+        origin=f"estimated from {excess_s.size} of them against {fused.name}",
     )
 
 
-def _sigma_of_median(behind_s: Array, rate_hz: float) -> float:
-    """The sigma of the median delay [s] of rows whose errors last `_CORRELATION_S`."""
-    scatter_s = _SIGMA_OF_MAD * float(np.median(np.abs(behind_s - np.median(behind_s))))
-    rows_of_one_error = max(_CORRELATION_S * rate_hz, 1.0)
-    independent_rows = behind_s.size * (1.0 / rows_of_one_error)
+def _sigma_of_median(excess_s: Array, rate_hz: float) -> float:
+    """The sigma of the median of delays [s] with errors that are correlated for `_CORRELATION_S`.
+
+    ``rate_hz``: of the rows.
+    """
+    scatter_s = _SIGMA_OF_MAD * float(np.median(np.abs(excess_s - np.median(excess_s))))
+    rows_per_independent = max(_CORRELATION_S * rate_hz, 1.0)
+    independent_rows = excess_s.size * (1.0 / rows_per_independent)
     return float(_SIGMA_OF_MEDIAN * scatter_s / np.sqrt(independent_rows))

@@ -1,4 +1,4 @@
-"""Which formats there are, and opening a log by its content."""
+"""The list of log formats; opens a log and recognizes its format by the content."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,19 +20,19 @@ from unbend.ingest.ulog.px4_log import ULOG
 from unbend.ingest.utc_evidence import Witness, date_in_name
 from unbend.messages import Ledger
 
-# the surest mark first
+# In the order in which they are tried: formats with the most distinctive first bytes come first.
 FORMATS: tuple[LogFormat, ...] = (MCAP, ULOG, DATAFLASH, DATAFLASH_TEXT, TLOG)
 
 HEAD_BYTES = 1 << 16  # read to recognize the format
 SUFFIXES = tuple(suffix for form in FORMATS for suffix in form.extensions)  # lower case, with dot
 KNOWN = ", ".join(f"{form.title} ({' '.join(form.extensions)})" for form in FORMATS)
 
-LISTED_DAMAGE = 2  # entries of the ledger in the refusal of a file without a message
-LISTED_TYPES = 12  # message types in the refusal of a log without a wanted message
+LISTED_DAMAGE = 2  # most entries of the ledger in the refusal of a file without a message
+LISTED_TYPES = 12  # most message types in the refusal of a log without a wanted message
 
 
 class RelatedFormat(NamedTuple):
-    """Files that are not read: their first bytes, what they are, and how to convert them."""
+    """A format that is not read: its first bytes, its name, and how to convert a file."""
 
     mark: bytes
     kind: str
@@ -58,10 +58,10 @@ def open_log(
 ) -> Log:
     """Read a flight log of any format in `FORMATS`; its content and its extension have to agree.
 
-    ``sha256``: its hash, if already taken. ``needs_channels``: refuse a log without a channel of
-    measurements; without any channel start and end are 0. ``date_ns``: the date of the flight
-    [Unix ns], if the mission file states it. Damage is no reason to refuse: it is counted in the
-    ledger of the log.
+    ``sha256``: the hash of the file, if already known. ``needs_channels``: True refuses a log
+    without a channel of measurements. ``date_ns``: the date of the flight [Unix ns], if the mission
+    file states it. A damaged log is not refused: the damage is counted in its ledger. The start and
+    the end of a log without channels are 0.
     Raises LogError (LOG-MISSING, LOG-EMPTY, LOG-FORMAT, LOG-NO-MESSAGES, LOG-UNREADABLE,
     LOG-CHANGED, LOG-TOO-LARGE; of PX4 logs LOG-ULOG) when nothing can be used.
     """
@@ -75,8 +75,8 @@ def open_log(
         with path.open("rb") as stream:
             head = stream.read(HEAD_BYTES)
         form = _format_of(path, head)
-        # The hash is taken before the file is read, so that a later change of the file shows. A
-        # file with another head, which may be no log at all, is hashed only if it could be read.
+        # The hash is computed before the file is read, so that a later change of the file is
+        # detected. A file with a damaged head may not be a log: it is hashed only after reading.
         if form.matches(head) and not sha256:
             sha256 = hash_file(path)
         witnesses = _witnesses(path, date_ns)
@@ -87,7 +87,7 @@ def open_log(
         reason = error.strerror or str(error)
         raise messages.log_unreadable(path=str(path), reason=reason) from error
     except LogError as error:
-        if error.where:
+        if error.where:  # already names the file
             raise
         raise error.as_kind(LogError, where=path) from error
     channels = contents.channels
@@ -116,12 +116,12 @@ def is_log(path: Path) -> bool:
 
 
 def format_of_head(head: bytes) -> LogFormat | None:
-    """The format that the first bytes of a file are of; None without one."""
+    """The format of a log by its first bytes; None if these are of no known format."""
     return next((form for form in FORMATS if form.matches(head)), None)
 
 
 def _check_file(path: Path) -> None:
-    """Refuse a path that is not that of a file."""
+    """Raise LogError (LOG-MISSING) unless the path is that of a file."""
     if path.is_file():
         return
     if not path.exists():
@@ -134,10 +134,10 @@ def _check_file(path: Path) -> None:
 
 
 def _format_of(path: Path, head: bytes) -> LogFormat:
-    """The format of a file by its first bytes; by its extension where these are of no format.
+    """The format of a file by its first bytes; by its extension if these are of no known format.
 
-    Raises LogError where the first bytes are of another format than the extension, where they are
-    of a related format that is not read, and where neither is known.
+    Raises LogError (LOG-FORMAT) if the first bytes are of another format than the extension, if
+    they are of a related format that is not read, and if neither is known.
     """
     extension = path.suffix.lower()
     by_extension = next((form for form in FORMATS if extension in form.extensions), None)
@@ -161,13 +161,13 @@ def _format_of(path: Path, head: bytes) -> LogFormat:
 
 
 def _witnesses(path: Path, date_ns: int | None) -> list[Witness]:
-    """What tells the date of a log beside the log: the mission file, and the name of the file."""
+    """The sources of the date outside the log: the mission file, and the name of the file."""
     witnesses = []
     if date_ns is not None:
         witnesses.append(Witness("mission.date", date_ns))
-    of_name = date_in_name(path.name)
-    if of_name is not None:
-        witnesses.append(of_name)
+    name_witness = date_in_name(path.name)
+    if name_witness is not None:
+        witnesses.append(name_witness)
     return witnesses
 
 
@@ -179,7 +179,10 @@ def _read(
     *,
     needs_channels: bool,
 ) -> Contents:
-    """The contents of a log with its channels checked and sorted; LogError if nothing is usable."""
+    """Read a log, correct its times, and check and sort its channels.
+
+    Raises LogError if it has no message, or none that is wanted (only if ``needs_channels``).
+    """
     decoded = form.read(path, ledger, witnesses)
     contents = with_possible_dates(decoded, witnesses, ledger)
     channels = []

@@ -1,6 +1,6 @@
-"""Power-ups of a vehicle in a log, by the times since boot of its records, for all log formats.
+"""Power-ups (boots) of a vehicle in a log, by the times since boot of its records, for all formats.
 
-Places in a log rise: bytes, or numbers of messages.
+A place in a log is a byte or the number of a message: places rise.
 """
 
 from collections.abc import Iterable
@@ -17,14 +17,14 @@ from unbend.ingest.limits import check_boots
 from unbend.messages import Ledger
 from unbend.units import Integers, Mask, Rows, whole_numbers
 
-_FEWEST_RECORDS = 10  # without a second between them, of sensors; parameters come one by one
+_FEWEST_RECORDS = 10  # in a stretch with sensors; parameters and texts alone make shorter ones
 
 # Places of records in the log, rising, and their times since boot [ns].
 Stamps = tuple[Integers, TimeArray]
 
 
 def place_of_boot(where: str, number: int) -> str:
-    """A power-up in words; ``where`` is the vehicle, empty where the log has one.
+    """A power-up in words; ``where`` names the vehicle, and is empty in a log of one vehicle.
 
     >>> place_of_boot("system 1", 0), place_of_boot("", 2)
     ('system 1, boot 0', 'boot 2')
@@ -33,7 +33,11 @@ def place_of_boot(where: str, number: int) -> str:
 
 
 class Silences(NamedTuple):
-    """Times in which nothing was recorded: the stretch ``after`` each, and how long [ns]."""
+    """Gaps of more than 1 s in a log.
+
+    after : (n,) index of the stretch of the `Timeline` that follows the silence.
+    length_ns : (n,) how long the silence is [ns].
+    """
 
     after: Rows
     length_ns: TimeArray
@@ -41,7 +45,7 @@ class Silences(NamedTuple):
 
 @dataclass(frozen=True)
 class Timeline:
-    """Stretches of a log in which the time since boot runs on, (n,) in the order of the log."""
+    """The (n,) stretches of a log, in its order: records without a jump of their time by 1 s."""
 
     first: Integers  # place of the first record
     begin: TimeArray  # time since boot of the first record [ns]
@@ -58,19 +62,19 @@ class Timeline:
         return int(self.boot.max()) + 1
 
     def boot_of(self, places: Integers) -> NDArray[np.int16]:
-        """The power-up to which records belong, from 0."""
+        """The power-ups to which the records at (n,) places belong, from 0."""
         if self.boots == 1:
             return np.zeros(places.shape, np.int16)
         return np.asarray(self.boot[self._stretch(places)], np.int16)
 
     def good(self, places: Integers) -> Mask:
-        """Which records, by their places, have a stamp that is no glitch."""
+        """(n,) False for records, by their places, that belong to a stray stretch."""
         if not self.stray.any():
             return np.ones(places.shape, np.bool_)
         return np.asarray(~self.stray[self._stretch(places)], np.bool_)
 
     def silences(self) -> Silences:
-        """The silences between stretches that are no glitches."""
+        """The silences between successive stretches that are not stray."""
         steady = np.flatnonzero(~self.stray)
         begin_ns = self.begin[steady]
         end_ns = self.end[steady]
@@ -83,14 +87,14 @@ class Timeline:
         )
 
     def _stretch(self, places: Integers) -> Rows:
-        """The stretches in which records lie, by their places."""
+        """(n,) the index of the stretch of each record, by its place; 0 before all stretches."""
         return np.maximum(np.searchsorted(self.first, places, side="right") - 1, 0)
 
 
 def microseconds(raw: NDArray[Any]) -> TimeArray:
-    """Time fields of any type as a new int64 array [us], cut at `LAST_US`, which no log lasts.
+    """Time fields [us] of any type as a new int64 array, limited to `LAST_US`, longer than any log.
 
-    NaN becomes `LAST_US` too; what is below 0 becomes 0 among floats, and `LAST_US` else.
+    NaN becomes `LAST_US` too. Numbers below 0 become 0 if they are floats, else `LAST_US`.
 
     >>> microseconds(np.array([7, 2**64 - 1], np.uint64)).tolist() == [7, 2**52]
     True
@@ -98,21 +102,25 @@ def microseconds(raw: NDArray[Any]) -> TimeArray:
     if raw.dtype.kind == "f":
         without_nan = np.where(np.isnan(raw), float(clock.LAST_US), raw.astype(np.float64))
         return whole_numbers(without_nan, 0, clock.LAST_US)
-    unsigned = raw.astype(np.uint64, copy=False)  # what is below 0 becomes huge
+    unsigned = raw.astype(np.uint64, copy=False)  # numbers below 0 become huge
     last_us = np.uint64(clock.LAST_US)
     cut_us = np.minimum(unsigned, last_us)
     return np.asarray(cut_us.view(np.int64), np.int64)
 
 
 def nanoseconds(raw: NDArray[Any]) -> TimeArray:
-    """Time fields in microseconds as a new array in nanoseconds, cut as by `microseconds`."""
+    """Time fields [us] as a new array [ns], limited as by `microseconds`."""
     time_ns = microseconds(raw)
     time_ns *= 1000
     return time_ns
 
 
 class _Stretch(NamedTuple):
-    """Records whose times since boot [ns] run on; ``first`` is the place of the first of them."""
+    """Successive records without a jump of the time since boot.
+
+    first : place of the first record; begin, end : its time and that of the last one [ns];
+    length : number of records.
+    """
 
     first: int
     begin: int
@@ -121,7 +129,7 @@ class _Stretch(NamedTuple):
 
 
 def _stretches_of(places: Integers, time_ns: TimeArray) -> list[_Stretch]:
-    """The stretches of records, of which there is at least one, in the order of the log."""
+    """Cut (n,) records, n >= 1, into stretches where the time jumps by more than 1 s."""
     cuts = np.flatnonzero(np.abs(np.diff(time_ns)) > clock.BOOT_STEP_NS) + 1
     starts = np.append(0, cuts)
     stops = np.append(cuts, time_ns.shape[0])
@@ -137,16 +145,17 @@ def _stretches_of(places: Integers, time_ns: TimeArray) -> list[_Stretch]:
     return stretches
 
 
-def _goes_on(last: _Stretch, following: _Stretch) -> bool:
-    """Whether the time since boot runs on from one stretch to the next."""
+def _continues(last: _Stretch, following: _Stretch) -> bool:
+    """Whether the time since boot jumps by at most 1 s from one stretch to the next."""
     step_ns = following.begin - last.end
     return abs(step_ns) <= clock.BOOT_STEP_NS
 
 
 def timeline(blocks: Iterable[Stamps]) -> Timeline:
-    """Find power-ups and stray stamps in all times since boot of a log, in its order.
+    """Find power-ups and stray stamps in the times since boot of a log.
 
-    A step back by more than 1 s is a power-up, unless it belongs to a stray stretch.
+    ``blocks`` are all records in the order of the log. A step back by more than 1 s is a power-up,
+    unless it is to or from a stray stretch.
 
     >>> time_ns = np.array([5, 6, 7, 8, 9, 2, 3, 4, 5, 6]) * 10**9
     >>> timeline([(np.arange(10), time_ns)]).boot_of(np.array([4, 5]))
@@ -157,7 +166,7 @@ def timeline(blocks: Iterable[Stamps]) -> Timeline:
         if not places.shape[0]:
             continue
         new_stretches = _stretches_of(places, time_ns)
-        if stretches and _goes_on(stretches[-1], new_stretches[0]):
+        if stretches and _continues(stretches[-1], new_stretches[0]):
             last = stretches[-1]
             continuation = new_stretches[0]
             stretches[-1] = last._replace(
@@ -194,12 +203,12 @@ def _boots(begin: TimeArray, end: TimeArray, stray: Mask) -> Integers:
     steps_ns = begin[steady][1:] - end[steady][:-1]
     steps_back = steps_ns < -clock.BOOT_STEP_NS
     boot_of_steady = np.append(0, np.cumsum(steps_back))
-    last_steady = np.maximum(np.cumsum(steady) - 1, 0)  # of stray ones before all: the first
+    last_steady = np.maximum(np.cumsum(steady) - 1, 0)  # 0 for stray ones before all others
     return np.asarray(boot_of_steady[last_steady], np.int64)
 
 
 def report_timeline(line: Timeline, ledger: Ledger) -> None:
-    """Report stray stamps, and silences between records of sensors, of a log.
+    """Report the stray stamps of a log, and the silences between its records of sensors.
 
     The places of the log must be bytes: the reports name them.
     """
@@ -209,7 +218,7 @@ def report_timeline(line: Timeline, ledger: Ledger) -> None:
             count=int(line.length[line.stray].sum()),
         )
         ledger.add(stray_records)
-    # Stretches of few records are of parameters and texts, before and behind those of sensors.
+    # Shorter stretches are of parameters and texts, logged before and after the sensors.
     with_sensors = np.flatnonzero(~line.stray & (line.length >= _FEWEST_RECORDS))
     if not with_sensors.size:
         return

@@ -1,10 +1,9 @@
-"""Whether the UTC of a log is possible, what else tells its date, and how good each clock is.
+"""Checks if the date of a log is possible, by other sources of the date; how good each clock is.
 
 A receiver that counts weeks modulo 1024 gives a date 19.6 years early; an autopilot without a fix
-gives whatever its clock began with. One rule holds for all formats: a date that another clock of
-the log confirms stands, or is moved by the rollovers that make both agree; a date that no log can
-have, and that nothing confirms, is moved only where one rollover alone makes it possible, else it
-is not used.
+gives the time at which its clock started. One rule applies to all formats. A date that another
+clock of the log confirms is used, moved by rollovers if that makes both agree. An impossible date
+that nothing confirms is moved if there is only one way to make it possible, else it is not used.
 """
 
 import re
@@ -21,7 +20,7 @@ from unbend.units import NANOSECONDS_PER_SECOND, Mask
 
 ROLLOVER_NS = WEEKS_PER_ROLLOVER * SECONDS_PER_WEEK * NANOSECONDS_PER_SECOND
 
-# 2010-01-01: the autopilots whose logs are read flew first in that year.
+# 2010-01-01: the first flights of the autopilots with logs that are read were in that year.
 EARLIEST_NS = 1_262_304_000 * NANOSECONDS_PER_SECOND
 # 1981-01-06: a field of UTC that is earlier was never set. A year after the GPS epoch, with which
 # receivers begin.
@@ -29,7 +28,7 @@ FIRST_SET_US = 347_500_800 * 1_000_000
 # Clocks of a log agree on the date within this: a ground station may be set by hand, and a file may
 # be named on the day of its download. A rollover is 239 times as long.
 SAME_DATE_NS = 30 * DAY_NS
-ROLLOVERS = (1, 2, -1)  # that a receiver may have missed, or counted too many, the usual first
+ROLLOVERS = (1, 2, -1)  # missed by a receiver, or (-1) counted too many; the most usual first
 
 # Clocks of four ground stations differed from the GPS time in the same logs by 0.1, 1.3, 2.1 and
 # 8.1 s: 4.2 s RMS, rounded up. Recorders on board and autopilots without a fix are set alike.
@@ -41,9 +40,9 @@ _DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(\d\d?)[-_.]?(\d\d?)(?!\d)")
 
 @dataclass(frozen=True)
 class Witness:
-    """Another clock that tells the date of a log: ``name`` in words, UTC [Unix ns].
+    """Another source of the date of a log: its ``name`` in words, and its UTC [Unix ns].
 
-    ``is_weak`` where it tells the day at best, as the name of a file does.
+    ``is_weak``: it knows the day at best, like the name of a file.
     """
 
     name: str
@@ -52,7 +51,7 @@ class Witness:
 
 
 def is_possible(time_ns: int) -> bool:
-    """Whether a log can have been written at a time [Unix ns].
+    """Whether a log can have been written at a time [Unix ns]: since 2010, and not in the future.
 
     >>> is_possible(1_700_000_000 * 10**9), is_possible(476_000_000 * 10**9)  # 2023, 1985
     (True, False)
@@ -63,16 +62,16 @@ def is_possible(time_ns: int) -> bool:
 def missed_rollovers(
     time_ns: int, witnesses: Sequence[Witness], *, of_receiver: bool = True
 ) -> int | None:
-    """How many rollovers of the GPS week a date lacks; None where no date can be accepted.
+    """How many rollovers of the GPS week a stated time [Unix ns] lacks; None: it is not usable.
 
-    ``witnesses``: other clocks, the strongest first; those whose own date is impossible do not
-    count. The first of these rules that applies decides:
+    ``witnesses``: other clocks, the strongest first; a witness with an impossible date is ignored.
+    ``of_receiver``: False for a clock that no receiver sets. The first rule that applies decides:
 
-    - A witness confirms the date, or the date after some rollovers: these, 0 if it stands.
-    - The date is possible: 0.
-    - There is a witness, and none confirms a date: None.
-    - The clock is not ``of_receiver``: None, as the date may be the one with which it began.
-    - One number of rollovers alone makes the date possible: that number. Else None.
+    - A witness agrees with the time moved by 0, 1, 2 or -1 rollovers: that number.
+    - The stated date is possible: 0.
+    - There are witnesses, but none agrees: None.
+    - The clock is not ``of_receiver``: None, because it may never have been set.
+    - Only one number of rollovers makes the date possible: that number. Else None.
 
     >>> june_2010 = 1_276_000_000 * 10**9
     >>> missed_rollovers(june_2010, []), missed_rollovers(june_2010 - ROLLOVER_NS, [])
@@ -80,27 +79,27 @@ def missed_rollovers(
     >>> missed_rollovers(june_2010, [Witness("log_time", june_2010 + ROLLOVER_NS // 3)])
     0
     """
-    acceptable = [witness for witness in witnesses if is_possible(witness.time_ns)]
-    for witness in acceptable:
+    possible_witnesses = [witness for witness in witnesses if is_possible(witness.time_ns)]
+    for witness in possible_witnesses:
         for rollovers in (0, *ROLLOVERS):
             moved_ns = time_ns + rollovers * ROLLOVER_NS
             if is_possible(moved_ns) and abs(moved_ns - witness.time_ns) <= SAME_DATE_NS:
                 return rollovers
     if is_possible(time_ns):
         return 0
-    if acceptable or not of_receiver:
+    if possible_witnesses or not of_receiver:
         return None
     return _only_rollovers(time_ns)
 
 
 def _only_rollovers(time_ns: int) -> int | None:
-    """How many rollovers later a date is possible; None where that is none or several."""
+    """The only number of rollovers (1 or 2) that makes a time possible; None if none or both do."""
     possible = [n for n in ROLLOVERS if n > 0 and is_possible(time_ns + n * ROLLOVER_NS)]
     return possible[0] if len(possible) == 1 else None
 
 
 def date_in_name(name: str) -> Witness | None:
-    """The date that the name of a file states; None without one, or with an impossible one.
+    """The date in the name of a file, as noon of that day; None without a valid date.
 
     >>> date_in_name("log_12_2019-3-4-12-30-12.ulg").name
     "the file's name"
@@ -118,15 +117,15 @@ def date_in_name(name: str) -> Witness | None:
 
 
 def is_utc(time_ns: TimeArray) -> Mask:
-    """(n,) which times of a log are UTC [Unix ns]; earlier ones count from a boot.
+    """(n,) True for times [ns] of a log that are UTC; the others count from a boot.
 
-    No log has a UTC before `EARLIEST_NS`, and no time since boot reaches 2001.
+    No log has a UTC before `EARLIEST_NS` (2010), and no time since boot reaches the year 2001.
     """
     return np.asarray(time_ns >= UNIX_NS_FROM, np.bool_)
 
 
 def is_utc_time(time_ns: int) -> bool:
-    """Whether one time of a log is UTC, as `is_utc`."""
+    """Whether a single time [ns] of a log is UTC, as by `is_utc`."""
     return time_ns >= UNIX_NS_FROM
 
 
@@ -141,11 +140,14 @@ def date_text(time_ns: int) -> str:
 
 @dataclass(frozen=True)
 class ClockAssessment:
-    """What a clock of a log is good for.
+    """How good a clock of a log is, and if it is used.
 
-    ``clock``: its name and boot; ``use``: ``UTC of the log``, ``compared`` or ``not used``;
-    ``utc``: the day that it states; ``apart_s``: its UTC minus that of the log [s]; ``sigma_s`` of
-    its UTC [s], None where it is not known; ``why``.
+    clock : its name and boot.
+    use : "UTC of the log", "compared", "not used" or "counts from boot".
+    utc : the day that it states.
+    apart_s : its UTC minus the UTC of the log [s].
+    sigma_s : of its UTC [s]; None where unknown.
+    why : the reason for this sigma.
     """
 
     clock: str

@@ -1,4 +1,4 @@
-"""UTC beside the time since boot, as rows of a log state it, and whether its date is possible."""
+"""Rows of a log with both UTC and time since boot, and the check of their dates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -22,22 +22,22 @@ LOWEST_FIX = 3  # 3D; both GPS_FIX_TYPE of MAVLink and GPS.Status of ArduPilot
 
 @dataclass(frozen=True)
 class UtcReadings:
-    """UTC beside the time since boot, by one source, (n,) in the order of the log."""
+    """The (n,) rows of one source with UTC and time since boot, in the order of the log."""
 
-    source: str  # what the rows are, in the plural
+    source: str  # what the rows are, in the plural: "rows of GPS"
     places: Integers
     boot_ns: TimeArray
     utc_ns: TimeArray
-    usable: Mask  # False where there is no UTC, or a stray stamp
-    fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))  # of a receiver; else empty
-    one: str = ""  # what one row is, in the singular
-    sigma_s: float = 0.0  # of this clock against UTC; 0 of a receiver, whose delay is added later
-    why: str = "set by the GNSS receiver"  # it has this sigma
-    from_gps_week: bool = False  # computed here from GPS week and seconds
+    usable: Mask  # False where the row has no UTC, or a stray stamp
+    fix: NDArray[Any] = field(default_factory=lambda: np.empty(0))  # empty if not of a receiver
+    singular: str = ""  # what a row is; empty if the same as ``source``
+    sigma_s: float = 0.0  # of this clock against UTC [s]; 0: a receiver, its delay is added later
+    why: str = "set by the GNSS receiver"  # the reason for this sigma
+    from_gps_week: bool = False  # UTC was computed by this package from GPS week and seconds
 
     def counted(self, rows: int) -> str:
         """A number of rows of this source, in words."""
-        return str(Counted(rows, self.one or self.source, self.source))
+        return str(Counted(rows, self.singular or self.source, self.source))
 
     def usable_rows(self, line: Timeline) -> "UtcReadings":
         """The rows without stray stamps, with a fix, and with another UTC than the row before."""
@@ -51,7 +51,7 @@ class UtcReadings:
         return self.rows(good)
 
     def rows(self, keep: Mask) -> "UtcReadings":
-        """The rows that a mask keeps; all of them are usable."""
+        """The rows that the mask ``keep`` selects, marked as usable."""
         return replace(
             self,
             places=self.places[keep],
@@ -62,7 +62,7 @@ class UtcReadings:
         )
 
     def median_utc_ns(self, boot: Mask) -> int:
-        """The median UTC [Unix ns] of the rows of a boot, which a mask marks."""
+        """The median UTC [Unix ns] of the rows of a boot; ``boot`` (n,) is True for these rows."""
         sorted_ns = np.sort(self.utc_ns[boot])
         return int(sorted_ns[sorted_ns.size // 2])
 
@@ -77,7 +77,7 @@ def rows_of(
     fix: NDArray[Any],
     from_gps_week: bool = False,
 ) -> UtcReadings:
-    """The UTC of the rows of a channel or topic."""
+    """The UTC of the rows of the channel or topic ``name``; ``fix``: empty if not of a receiver."""
     return UtcReadings(
         source=f"rows of {name}",
         places=places,
@@ -85,14 +85,18 @@ def rows_of(
         utc_ns=utc_ns,
         usable=usable,
         fix=fix,
-        one=f"row of {name}",
+        singular=f"row of {name}",
         from_gps_week=from_gps_week,
     )
 
 
 @dataclass(frozen=True)
 class DateCheck:
-    """Whether the dates that sources of UTC state are possible, by the other clocks of the log."""
+    """Checks the dates of sources of UTC against the other clocks of the log.
+
+    recorder : the rows of the recorder, None without one; witnesses : further clocks;
+    where : the vehicle, for reports.
+    """
 
     line: Timeline
     recorder: UtcReadings | None
@@ -100,10 +104,10 @@ class DateCheck:
     where: str
 
     def acceptable(self, source: UtcReadings, ledger: Ledger) -> UtcReadings:
-        """The rows of a source in the boots whose date can be accepted, repaired where it can be.
+        """The rows of a source in the boots with an acceptable date, which may be repaired.
 
-        The date of each boot is either not accepted, which drops its rows, or moved by the
-        rollovers that it lacks, or stands. Only what stands is not reported.
+        For each boot the date is accepted unchanged, or moved by the rollovers that it lacks, or
+        rejected, which drops the rows of the boot. Moved and rejected dates are reported.
         """
         boots = self.line.boot_of(source.places)
         utc_ns = source.utc_ns
@@ -123,7 +127,7 @@ class DateCheck:
                     )
                 )
             elif rollovers:
-                if utc_ns is source.utc_ns:  # the rows of the source itself stay as they are
+                if utc_ns is source.utc_ns:  # the array of the source must not be changed
                     utc_ns = utc_ns.copy()
                 utc_ns[rows] = clock.later_by_rollovers(
                     utc_ns[rows], rollovers, from_gps_week=source.from_gps_week
@@ -144,7 +148,7 @@ class DateCheck:
         return checked if bool(keep.all()) else checked.rows(keep)
 
     def _clocks_of(self, boot: int) -> list[Witness]:
-        """The other clocks that tell the date of a boot, the strongest first."""
+        """The other clocks that know the date of a boot, the strongest first."""
         strong = [witness for witness in self.witnesses if not witness.is_weak]
         weak = [witness for witness in self.witnesses if witness.is_weak]
         if self.recorder is not None:
@@ -155,9 +159,9 @@ class DateCheck:
 
     @staticmethod
     def _is_unset(source: UtcReadings, stated_ns: int, clocks: Sequence[Witness]) -> bool:
-        """Whether a clock that no receiver has set is more than a day off the strongest other one.
+        """Whether a source that no receiver sets is more than a day off the strongest other clock.
 
-        A weak other clock does not count.
+        False if that clock is weak.
         """
         is_set_by_receiver = source.sigma_s == 0.0
         if is_set_by_receiver or not clocks or clocks[0].is_weak:
@@ -170,7 +174,7 @@ def possible_recorder(
 ) -> UtcReadings:
     """The rows of a recorder in the boots in which its date is possible.
 
-    ``recorder`` must hold usable rows only. Each boot that is left out is noted.
+    All rows of ``recorder`` must be usable. Each boot that is left out is reported.
     """
     boots = line.boot_of(recorder.places)
     keep = np.ones(boots.shape, np.bool_)

@@ -1,4 +1,4 @@
-"""The block of images with known truth: stations, ground points, observations, and their tables."""
+"""The simulated block of images: true stations, points and observations, and their tables."""
 
 import json
 from dataclasses import dataclass
@@ -33,11 +33,11 @@ from unbend.simulate.sensors import unix_ns
 from unbend.simulate.true_air import TrueAir, relative_humidity, temperature_k, vapour_pressure_pa
 from unbend.units import Array, Integers, Mask
 
-FEWEST_IMAGES = 2  # a point seen once measures nothing
-REACH = 3.0  # flying heights around the lines, in which there are points
-JITTER = 0.45  # of the spacing of points, each way
-OVERSUPPLY = 1.6  # points in a footprint for each that an image takes: some find no second image
-LAST_HEIGHT_DIGIT = 3  # millimetres, of heights of the ground
+FEWEST_IMAGES = 2  # a point in fewer images cannot be intersected
+REACH = 3.0  # [flying heights] how far around the lines there are points
+JITTER = 0.45  # [spacings of points] largest displacement from the grid, in each direction
+OVERSUPPLY = 1.6  # candidates in a footprint for each point of an image: some are in one image only
+LAST_HEIGHT_DIGIT = 3  # decimals of ground heights [m]
 TRUE_PIXELS = ("x_px", "y_px", "x_true_px", "y_true_px")
 TRUE_ANGLES = ("zeta_c_rad", "r_c_rad", "r_cc_rad")
 
@@ -52,7 +52,10 @@ CONVENTIONS = {
 
 @dataclass(frozen=True, eq=False)
 class TrueStations:
-    """Projection centres and attitudes (n,), camera by camera, with the air at each."""
+    """Projection centres and attitudes (n,), camera by camera, with the air at each.
+
+    ``camera``: the index of the camera of each image.
+    """
 
     image: tuple[str, ...]
     camera: Integers
@@ -74,7 +77,7 @@ class TrueStations:
 
 @dataclass(frozen=True, eq=False)
 class GroundPoints:
-    """Points on the terrain (n,): radians and metres."""
+    """Points on the terrain (n,): radians and metres; ``name`` is empty for candidates."""
 
     name: tuple[str, ...]
     lat_rad: Array
@@ -85,7 +88,15 @@ class GroundPoints:
 
 @dataclass(frozen=True, eq=False)
 class TrueObservations:
-    """What the cameras measure without error (n,), and what they would without air."""
+    """The (n,) observations without error.
+
+    station, point : indices of the image and of the ground point.
+    x_px, y_px : the pixels that the camera measures.
+    x_true_px, y_true_px : the pixels of the straight chord, without window and air.
+    zeta_c_rad : nadir angle of the apparent ray at the camera.
+    r_c_rad : refraction in the air; r_cc_rad : refraction at the window (signs: `CONVENTIONS`).
+    miss_m : by how much the traced ray misses the ground point.
+    """
 
     station: Integers
     point: Integers
@@ -100,7 +111,7 @@ class TrueObservations:
 
 
 def stations(flight: Flight, air: TrueAir, cameras: tuple[SimulatedCamera, ...]) -> TrueStations:
-    """Where each camera was at each exposure: the reference point plus the lever arm."""
+    """The true station of each camera at each exposure: the reference point plus the lever arm."""
     exposures = len(flight.exposure_s)
     time_s = np.tile(flight.exposure_s, len(cameras))
     position, camera_from_enu = camera_poses(flight, cameras)
@@ -129,17 +140,17 @@ def camera_poses(flight: Flight, cameras: tuple[SimulatedCamera, ...]) -> tuple[
     truth = flight.at(flight.exposure_s)
     reference = to_ecef(truth.lat_rad, truth.lon_rad, truth.h_msl_m + UNDULATION_M)
     enu_from_ecef = enu_axes(truth.lat_rad, truth.lon_rad)
-    turns = []
+    rotations = []
     for angles in zip(truth.roll_rad, truth.pitch_rad, truth.yaw_rad, strict=True):
-        turns.append(NED_FROM_ENU.T @ body_rotation(*angles))
-    enu_from_body = np.stack(turns)
+        rotations.append(NED_FROM_ENU.T @ body_rotation(*angles))
+    enu_from_body = np.stack(rotations)
     body_from_enu = np.swapaxes(enu_from_body, 1, 2)
     positions = []
     attitudes = []
     for camera in cameras:
         lever_arm = enu_from_body @ np.array(camera.lever_arm_m)
         positions.append(reference + np.einsum("nij,ni->nj", enu_from_ecef, lever_arm))
-        # The axes of the horizon turn by 1e-7 rad over a lever arm: attitude is the camera's own.
+        # The ENU axes of the reference point and of the camera differ by 1e-7 rad: neglected.
         attitudes.append(camera.from_body() @ body_from_enu)
     return np.concatenate(positions), np.concatenate(attitudes)
 
@@ -156,7 +167,7 @@ def outside_air(air: TrueAir, h_msl_m: Array) -> AirState:
 
 
 def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> GroundPoints:
-    """A jittered grid of points on the terrain around the lines, in random order."""
+    """A jittered grid of points on the terrain around the lines, in random order, without names."""
     path = flight.path(flight.exposure_s)
     reach = REACH * float(path[:, 2].max())
     low = path.min(axis=0) - reach
@@ -180,7 +191,7 @@ def _candidates(spacing_m: float, flight: Flight, rng: np.random.Generator) -> G
 
 
 def _in_camera(block: TrueStations, station: Integers, direction: Array) -> Array:
-    """Unit vectors (n, 3) along ECEF axes, in the axes of the cameras of those stations."""
+    """Rotate unit vectors (n, 3) from ECEF axes into the camera axes of the (n,) stations."""
     enu_from_ecef = enu_axes(block.lat_rad[station], block.lon_rad[station])
     camera_from_ecef = block.camera_from_enu[station] @ enu_from_ecef
     return np.asarray(np.einsum("nij,nj->ni", camera_from_ecef, direction))
@@ -193,39 +204,41 @@ def choose_points(
     points_per_image: int,
     rng: np.random.Generator,
 ) -> tuple[GroundPoints, Integers, Integers]:
-    """Points, and the (station, point) pairs of the observations: each point in two images or more.
+    """Choose points, each in two images or more; returns them, and the observations of them.
 
-    Points are taken in random order into every image that sees them and is not full.
+    Candidates are taken in random order, each into all images that see it and have fewer than
+    ``points_per_image``. The observations are two (n,) arrays: the indices of the stations, and
+    those of the points.
     """
     spacing = _point_spacing_m(flight, cameras[0], points_per_image)
     pool = _candidates(spacing, flight, rng)
     seen = _seen_by_images(pool, block, cameras)
 
-    room = np.full(len(block.image), points_per_image)
-    kept: list[int] = []
+    free_places = np.full(len(block.image), points_per_image)  # by image
+    chosen: list[int] = []  # rows of the candidates
     pairs: list[tuple[int, int]] = []  # station, point
     for candidate in np.flatnonzero(seen.sum(axis=1) >= FEWEST_IMAGES).tolist():
-        images = np.flatnonzero(seen[candidate] & (room > 0))
+        images = np.flatnonzero(seen[candidate] & (free_places > 0))
         if len(images) >= FEWEST_IMAGES:
-            pairs += [(int(image), len(kept)) for image in images]
-            kept.append(candidate)
-            room[images] -= 1
+            pairs += [(int(image), len(chosen)) for image in images]
+            chosen.append(candidate)
+            free_places[images] -= 1
     if not pairs:
         raise messages.sim_points(fewest=FEWEST_IMAGES, number=len(block.image))
     pairs.sort()
     station, point = np.array(pairs, np.int64).T
     points = GroundPoints(
-        name=tuple(f"p{number:05d}" for number in range(1, len(kept) + 1)),
-        lat_rad=pool.lat_rad[kept],
-        lon_rad=pool.lon_rad[kept],
-        h_msl_m=pool.h_msl_m[kept],
-        ecef_m=pool.ecef_m[kept],
+        name=tuple(f"p{number:05d}" for number in range(1, len(chosen) + 1)),
+        lat_rad=pool.lat_rad[chosen],
+        lon_rad=pool.lon_rad[chosen],
+        h_msl_m=pool.h_msl_m[chosen],
+        ecef_m=pool.ecef_m[chosen],
     )
     return points, station, point
 
 
 def _point_spacing_m(flight: Flight, camera: SimulatedCamera, points_per_image: int) -> float:
-    """The spacing at which an image of flat ground has more points than it takes."""
+    """The spacing [m] of candidates: `OVERSUPPLY` times ``points_per_image`` in a footprint."""
     height = float(np.max(flight.path(flight.exposure_s)[:, 2]))
     footprint = height**2 * camera.width_px * camera.height_px / camera.focal_px**2
     return float(np.sqrt(footprint / (OVERSUPPLY * points_per_image)))
@@ -234,7 +247,7 @@ def _point_spacing_m(flight: Flight, camera: SimulatedCamera, points_per_image: 
 def _seen_by_images(
     points: GroundPoints, block: TrueStations, cameras: tuple[SimulatedCamera, ...]
 ) -> Mask:
-    """(n, k) which of n points fall on the sensors of k images."""
+    """(n, k) True if the straight ray to a point (n) falls on the sensor of an image (k)."""
     images = len(block.image)
     seen = np.zeros((len(points.lat_rad), images), bool)
     for image in range(images):
@@ -253,7 +266,11 @@ def observe(
     station: Integers,
     point: Integers,
 ) -> TrueObservations:
-    """Bend every ray, send it through the window and the lens; beside it the straight chord."""
+    """The observations of the (n,) pairs of ``station`` and ``point``.
+
+    Each ray is traced through the air, refracted at the window and projected by the lens. The
+    straight chord is only projected.
+    """
     rays = shoot(air, block.ecef_m[station], points.ecef_m[point], UNDULATION_M)
     outside = _in_camera(block, station, rays.apparent)
     straight = _in_camera(block, station, rays.straight)
@@ -283,7 +300,7 @@ def observe(
 
 
 def write_table(path: Path, columns: dict[str, object]) -> None:
-    """Write one Parquet file with the conventions in its metadata."""
+    """Write a Parquet file with `CONVENTIONS` in its metadata."""
     table = pa.table(columns)
     table = table.replace_schema_metadata({"unbend.conventions": json.dumps(CONVENTIONS)})
     pq.write_table(table, path, compression="zstd")
@@ -300,7 +317,7 @@ def write_tables(
     noise_px: float,
     rng: np.random.Generator,
 ) -> None:
-    """Write the observations with noise [px], and the truth in a folder of its own."""
+    """Write the observations, with noise [px], to ``out``, and the truth to out/truth."""
     truth = out / "truth"
     truth.mkdir(parents=True, exist_ok=True)
     measured, true = observation_columns(block, points, seen, noise_px, rng)
@@ -312,7 +329,7 @@ def write_tables(
 
 
 def profile_columns(air: TrueAir) -> dict[str, object]:
-    """truth/profile.parquet: -100 m to 30 km, 5 m apart up to 5 km and 50 m above."""
+    """Columns of truth/profile.parquet: -100 m to 30 km, every 5 m up to 5 km, every 50 m above."""
     h_m = np.concatenate([np.arange(-100.0, 5000.0, 5.0), np.arange(5000.0, 30_001.0, 50.0)])
     return {
         "h_m": h_m,
@@ -324,7 +341,7 @@ def profile_columns(air: TrueAir) -> dict[str, object]:
 
 
 def point_columns(points: GroundPoints) -> dict[str, object]:
-    """truth/points.parquet: one row a point."""
+    """Columns of truth/points.parquet: one row a point."""
     return {
         "point": list(points.name),
         "lat_deg": np.degrees(points.lat_rad),
@@ -337,7 +354,7 @@ def point_columns(points: GroundPoints) -> dict[str, object]:
 def station_columns(
     stations: TrueStations, cameras: tuple[SimulatedCamera, ...]
 ) -> dict[str, object]:
-    """truth/stations.parquet: one row an image."""
+    """Columns of truth/stations.parquet: one row an image."""
     columns = {
         "image": list(stations.image),
         "camera": [cameras[row].name for row in stations.camera],
@@ -364,7 +381,10 @@ def observation_columns(
     noise_px: float,
     rng: np.random.Generator,
 ) -> tuple[dict[str, object], dict[str, object]]:
-    """observations.parquet, as a photogrammetrist has it, and truth/observations.parquet."""
+    """Columns of observations.parquet, with noise, and of truth/observations.parquet.
+
+    ``noise_px``: sigma of the noise in each coordinate [px].
+    """
     names: dict[str, object] = {
         "image": [stations.image[row] for row in seen.station],
         "point": [points.name[row] for row in seen.point],

@@ -1,7 +1,7 @@
 """The flight: where the aircraft and its cabin are at any time, without error.
 
-No wind; heading, climb and speed are commanded in steps, smoothed, and integrated once at 20 Hz;
-the truth is the spline through that, so position and attitude are continuous functions of time.
+There is no wind. Heading, climb and speed are commanded in steps, smoothed, and integrated at
+20 Hz. The truth is the spline through the result: position and attitude are smooth functions.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ CIRCLE_RADIUS_M = 1500.0
 LEAD_IN_M = 6000.0  # from the field to the first line: the last of the climb
 EXPOSURE_SPACING_M = 620.0  # 60 % forward overlap of the nadir camera
 LINE_MARGIN_M = 400.0  # wings level before the first exposure of a line
-STAND_S = 60.0  # engines running before take-off
-RAMP_S = 40.0  # take-off and landing roll
-ROLL_M = 0.5 * SPEED_M_S * RAMP_S
-AFTER_S = 12.0
+STAND_S = 60.0  # at rest before take-off, engines running
+RAMP_S = 40.0  # from rest to `SPEED_M_S` at take-off, and back at landing
+ROLL_M = 0.5 * SPEED_M_S * RAMP_S  # the distance covered meanwhile
+AFTER_S = 12.0  # at rest after landing
 CLIMB_RATE_M_S = 9.0
-CABIN_HOLD_M = 1800.0
+CABIN_HOLD_M = 1800.0  # above this height the cabin keeps the pressure of this height
 STEP_S = 0.05  # of the integration
 FIRST_LEG_M = 4000.0  # from the field eastwards, before the climb in circles
-RUN_OUT_M = 700.0  # from the last line on, before the way back; as far before the first, level
+RUN_OUT_M = 700.0  # level flight before the first line, and behind the last line
 LAST_LEG_M = 1500.0  # after the circles down
 EAST_RAD = 0.5 * np.pi
 TURN_SMOOTH = 40.0  # steps over which a roll into a turn is smooth
 CLIMB_SMOOTH = 60.0  # the same of a climb
-SLOWEST_M_S = 30.0  # on the ground no climb angle is steep
+SLOWEST_M_S = 30.0  # least speed for a climb angle: none is steep near standstill
 ANGLE_OF_ATTACK_RAD = np.radians(1.5)
-VALVE_PA = 150.0  # the cabin's valve closes gradually, so that the truth has no kink
+VALVE_PA = 150.0  # range of pressure in which the cabin's valve closes: the truth has no kink
 
-# Sensors are sampled on grids of time. Jitter keeps the exposures from being in step with one.
-JITTER_S = 0.043  # its amplitude; exposures of a line are 9 s apart
-JITTER_STEP_RAD = 7.0  # of its phase, from one exposure to the next: a turn and 41 degrees
+# Sensors are sampled at equal intervals; jitter keeps the exposures out of step with them.
+JITTER_S = 0.043  # amplitude of the jitter; exposures of a line are 9 s apart
+JITTER_STEP_RAD = 7.0  # step of its phase between successive exposures: 401 degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +64,14 @@ class State:
     course_rad: Array
 
     def between(self, time_s: Array) -> State:
-        """At other times (n,), linear between these."""
+        """The state at other times (n,) [s], interpolated linearly."""
         values = {}
         for name, value in vars(self).items():
             values[name] = np.interp(time_s, self.time_s, value)
         return State(**values)
 
     def rows(self, chosen: slice) -> State:
-        """Some of the times."""
+        """The states of the ``chosen`` times."""
         values = {}
         for name, value in vars(self).items():
             values[name] = value[chosen]
@@ -80,21 +80,21 @@ class State:
 
 @dataclass(frozen=True)
 class _Wander:
-    """A smooth sum of sines, about so large from peak to mean."""
+    """A small smooth variation of an angle: a sum of sines with an amplitude near ``size_deg``."""
 
     size_deg: float
     periods_s: tuple[float, ...]
     phase: float
 
     def at(self, time_s: Array) -> Array:
-        """The angle (n,) [rad]."""
+        """The variation (n,) [rad] at times (n,) [s]."""
         waves = []
         for number, period_s in enumerate(self.periods_s, start=1):
             phase = self.phase * number
             waves.append(np.sin(2.0 * np.pi * time_s / period_s + phase))
         size_rad = np.radians(self.size_deg)
-        together = np.sum(waves, axis=0)
-        return np.asarray(size_rad * together / np.sqrt(len(waves)))
+        sum_of_waves = np.sum(waves, axis=0)
+        return np.asarray(size_rad * sum_of_waves / np.sqrt(len(waves)))
 
 
 ROLL_WANDER = _Wander(
@@ -121,7 +121,7 @@ class Flight:
     duration_s: float
     exposure_s: Array
     path: BSpline  # east, north, up above the field [m]
-    heading: BSpline  # unwrapped, before the wander [rad]
+    heading: BSpline  # unwrapped, without `YAW_WANDER` [rad]
     airborne: BSpline  # 0 on the ground, 1 in the air
 
     def at(self, time_s: Array) -> State:
@@ -152,7 +152,7 @@ class Flight:
 def geographic(east_m: Array, north_m: Array) -> tuple[Array, Array]:
     """Latitude and longitude [rad] of a place east and north of the field [m].
 
-    A map of its own, linear by definition: exact, since everything is made from its result.
+    Linear by definition. It is not an approximation: the true positions are its results.
     """
     e2 = WGS84_F * (2.0 - WGS84_F)
     w = 1.0 - e2 * np.sin(FIELD_LAT_RAD) ** 2
@@ -171,25 +171,26 @@ def terrain_m(east_m: Array, north_m: Array) -> Array:
         + 45.0 * np.sin((east_m - 1.7 * north_m) / 1100.0 + 1.1)
     )
     from_field_m = np.hypot(east_m, north_m)
-    away = 1.0 - np.exp(-((from_field_m / 4000.0) ** 4))
-    return np.asarray(FIELD_HEIGHT_M + away * hills)
+    share_of_hills = 1.0 - np.exp(-((from_field_m / 4000.0) ** 4))  # 0 at the field, 1 far away
+    return np.asarray(FIELD_HEIGHT_M + share_of_hills * hills)
 
 
 @dataclass(frozen=True)
 class _Leg:
-    """A straight or a turn: how far, and through which angle (left is negative)."""
+    """A straight (``turn_rad`` 0) or a turn: its length, and its angle (to the left negative)."""
 
     length_m: float
     turn_rad: float = 0.0
 
 
 def _turn(radius_m: float, angle_rad: float) -> _Leg:
+    """A turn through an angle, to the left negative."""
     return _Leg(radius_m * abs(angle_rad), angle_rad)
 
 
 @dataclass(frozen=True)
 class _Route:
-    """All legs, and how far along them what begins or ends [m]."""
+    """All legs from take-off to landing; the other fields are distances along them [m]."""
 
     legs: list[_Leg]
     climb_end_m: float
@@ -198,12 +199,13 @@ class _Route:
 
     @property
     def lengths_m(self) -> Array:
+        """The length of each leg [m]."""
         return np.array([leg.length_m for leg in self.legs])
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where the aircraft is on the map [m], and where it goes, clockwise from north."""
+    """The position of the aircraft relative to the field [m], and its heading from north."""
 
     east_m: float
     north_m: float
@@ -217,18 +219,22 @@ class _Place:
             north = self.north_m + leg.length_m * np.cos(heading)
             return _Place(east, north, heading)
         radius = leg.length_m / leg.turn_rad
-        turned = heading + leg.turn_rad
-        to_east = radius * (np.cos(heading) - np.cos(turned))
-        to_north = radius * (np.sin(turned) - np.sin(heading))
-        return _Place(self.east_m + to_east, self.north_m + to_north, turned)
+        end_heading = heading + leg.turn_rad
+        to_east = radius * (np.cos(heading) - np.cos(end_heading))
+        to_north = radius * (np.sin(end_heading) - np.sin(heading))
+        return _Place(self.east_m + to_east, self.north_m + to_north, end_heading)
 
 
 def _length_m(legs: list[_Leg]) -> float:
+    """The length of all legs together [m]."""
     return sum(leg.length_m for leg in legs)
 
 
 def _route(lines: int, line_m: float, climb_m: float) -> _Route:
-    """From the field up in circles, the lines, and back down."""
+    """Plan the legs: climb from the field in circles, fly the lines, return and descend in circles.
+
+    ``line_m``: the length of a line [m]. ``climb_m``: its height above the field [m].
+    """
     circle = _turn(CIRCLE_RADIUS_M, -2.0 * np.pi)
     climb_path_m = climb_m * SPEED_M_S / CLIMB_RATE_M_S
     circles = max(0, round((climb_path_m - LEAD_IN_M) / circle.length_m))
@@ -245,8 +251,8 @@ def _route(lines: int, line_m: float, climb_m: float) -> _Route:
             legs.append(_turn(TURN_RADIUS_M, half_turn))
     legs.append(_Leg(RUN_OUT_M))
     descent_start_m = _length_m(legs)
-    to_left = lines % 2 == 0
-    legs += _way_back(legs, -1.0 if to_left else 1.0)
+    turns_left = lines % 2 == 0
+    legs += _way_back(legs, side=-1.0 if turns_left else 1.0)
     legs += [circle] * circles
     legs.append(_Leg(LAST_LEG_M))
     return _Route(
@@ -258,7 +264,11 @@ def _route(lines: int, line_m: float, climb_m: float) -> _Route:
 
 
 def _way_back(legs: list[_Leg], side: float) -> list[_Leg]:
-    """Back to the field: a turn to the left (-1) or right (1) and the tangent of its circle."""
+    """The legs from the end of ``legs`` back to the field: a turn, and a straight to the field.
+
+    ``side``: -1 to turn left, 1 to turn right. The straight is the tangent from the circle of the
+    turn to the field. Raises PhysicsError if the field is within the circle.
+    """
     place = _Place(0.0, 0.0, EAST_RAD)
     for leg in legs:
         place = place.after(leg)
@@ -269,8 +279,8 @@ def _way_back(legs: list[_Leg], side: float) -> list[_Leg]:
     if distance <= radius:
         raise messages.path_too_near(distance_m=distance)
     straight = np.sqrt(distance**2 - radius**2)
-    to_field = np.arctan2(-centre_east, -centre_north)
-    heading = to_field + side * np.arctan2(radius, straight)
+    to_field = np.arctan2(-centre_east, -centre_north)  # direction from the centre to the field
+    heading = to_field + side * np.arctan2(radius, straight)  # that of the tangent
     turn = side * (heading - place.heading_rad)
     angle = float(turn % (2.0 * np.pi))
     return [
@@ -280,7 +290,7 @@ def _way_back(legs: list[_Leg], side: float) -> list[_Leg]:
 
 
 def fly(height_above_ground_m: float, lines: int, exposures_per_line: int) -> Flight:
-    """Plan and integrate a survey: climb from the field, lines, descent, landing."""
+    """Plan a survey (take-off, climb, lines, descent, landing), and integrate it over time."""
     line_m = EXPOSURE_SPACING_M * max(exposures_per_line - 1, 1) + 2.0 * LINE_MARGIN_M
     route = _route(lines, line_m, height_above_ground_m)
     total_m = float(route.lengths_m.sum())
@@ -306,7 +316,7 @@ def fly(height_above_ground_m: float, lines: int, exposures_per_line: int) -> Fl
 
 
 def _airborne(time: Array, cruise_s: float) -> Array:
-    """From 0 to 1 while taking off, and back while landing."""
+    """Speed at times [s] over the cruising speed: rises to 1 at take-off, falls to 0 at landing."""
     landing_s = STAND_S + RAMP_S + cruise_s
     taken_off = _smoothstep((time - STAND_S) / RAMP_S)
     landed = _smoothstep((time - landing_s) / RAMP_S)
@@ -316,17 +326,23 @@ def _airborne(time: Array, cruise_s: float) -> Array:
 def _height_profile(
     route: _Route, height_above_ground_m: float, distance: Array, time: Array
 ) -> Array:
-    """Heights above the field [m]: climb, level within some metres, descent."""
-    climb_rate = _share(time, distance, 1.3 * ROLL_M, route.climb_end_m)
+    """Heights above the field [m] at times [s] with distances flown [m]: climb, cruise, descent.
+
+    Waves of 4 m are added in the air.
+    """
+    climb_rate = _unit_rate(time, distance, 1.3 * ROLL_M, route.climb_end_m)
     descent_end_m = float(route.lengths_m.sum()) - ROLL_M - 500.0
-    descent_rate = _share(time, distance, route.descent_start_m, descent_end_m)
+    descent_rate = _unit_rate(time, distance, route.descent_start_m, descent_end_m)
     up = height_above_ground_m * _integral(climb_rate - descent_rate)
     waves = 4.0 * np.sin(2.0 * np.pi * time / 53.0)
     return np.asarray(up + waves * _smoothstep(up / 200.0))
 
 
 def _turn_rate(route: _Route, distance: Array, airborne: Array) -> Array:
-    """Turn rates [rad/s] at distances along the route [m], smooth in time."""
+    """Turn rates [rad/s] at distances along the route [m], smoothed over time.
+
+    ``airborne``: the speed over the cruising speed.
+    """
     curvature = np.array([leg.turn_rad / leg.length_m for leg in route.legs])
     leg_edges = np.concatenate([[0.0], np.cumsum(route.lengths_m)])
     leg = np.searchsorted(leg_edges, distance, side="right") - 1
@@ -341,9 +357,9 @@ def _exposure_times(
     distance: Array,
     time: Array,
 ) -> Array:
-    """Times [s] of the exposures, equally spaced along each line but for a jitter.
+    """Times [s] of the exposures: equally spaced along each line, with a jitter.
 
-    The camera's clock ticks in whole microseconds, and never in step with the other sensors.
+    ``distance``: flown at each of the times [m]. The results are whole microseconds.
     """
     along_line = EXPOSURE_SPACING_M * np.arange(exposures_per_line)
     first_of_line = np.array(route.line_starts_m) + LINE_MARGIN_M
@@ -355,19 +371,22 @@ def _exposure_times(
 
 
 def _smoothstep(x: Array) -> Array:
-    """From 0 at 0 to 1 at 1, with two continuous derivatives."""
+    """0 below x = 0, 1 above x = 1, and between a rise with two continuous derivatives."""
     x = np.clip(x, 0.0, 1.0)
     return np.asarray(x * x * x * (10.0 + x * (6.0 * x - 15.0)))
 
 
 def _integral(values: Array) -> Array:
-    """Integral over time from the first value, by the trapezoidal rule."""
+    """Integral of values at steps of `STEP_S` from the first one on, by the trapezoidal rule."""
     steps = 0.5 * STEP_S * (values[1:] + values[:-1])
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _share(time: Array, distance: Array, start_m: float, end_m: float) -> Array:
-    """A rate [1/s] whose integral is one, spread over a stretch of the path, with soft ends."""
+def _unit_rate(time: Array, distance: Array, start_m: float, end_m: float) -> Array:
+    """A rate [1/s] over time with the integral 1: constant on a stretch of the path, else 0.
+
+    The stretch is from ``start_m`` to ``end_m`` of the ``distance`` flown [m]; its ends are smooth.
+    """
     inside = (distance >= start_m) & (distance <= end_m)
     soft = gaussian_filter1d(inside.astype(np.float64), CLIMB_SMOOTH)
     step_s = time[1] - time[0]
@@ -376,7 +395,7 @@ def _share(time: Array, distance: Array, start_m: float, end_m: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class AirState:
-    """True air outside and in the cabin at times (n,)."""
+    """True air at (n,) places, outside or in the cabin; ``n`` is the refractive index."""
 
     pressure_pa: Array
     temperature_k: Array
@@ -386,7 +405,11 @@ class AirState:
 
 
 def cabin_air(air: TrueAir, h_msl_m: Array, time_s: Array) -> AirState:
-    """The true air of the cabin: ambient up to 1800 m, held there above, never quite constant."""
+    """The true air of the cabin (n,) at heights [m] and times [s].
+
+    The pressure is ambient up to `CABIN_HOLD_M`, and above that near its value there, with slow
+    swings. Temperature and humidity vary in time.
+    """
     ambient = air.pressure_pa(h_msl_m)
     held = float(air.pressure_pa(np.array(CABIN_HOLD_M)))
     over_held = (ambient - held) / VALVE_PA

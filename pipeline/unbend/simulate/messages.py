@@ -1,4 +1,4 @@
-"""Messages of simulate: what each code means, and the words of what is sent."""
+"""Messages of the simulation: the meaning of each code, and one function for each error."""
 
 from unbend.errors import Code, ConfigError, MissionError, PhysicsError
 
@@ -11,7 +11,7 @@ SIM_ODE = Code(
 
 
 def not_integrated(*, what: str, answer: str) -> PhysicsError:
-    """The integrator gave up."""
+    """The integration of ``what`` failed; ``answer``: the message of the integrator."""
     return PhysicsError(
         SIM_ODE, "the integration of the {what} failed: {answer}", what=what, answer=answer
     )
@@ -48,7 +48,7 @@ SIM_PATH = Code(
 
 
 def path_too_near(*, distance_m: float) -> PhysicsError:
-    """The simulated lines end where no circle leads back to the field."""
+    """The lines end so near to the field that no circle and tangent lead back to it."""
     return PhysicsError(
         SIM_PATH,
         "the lines end {distance_m:.0f} m from the airfield: too near",
@@ -65,7 +65,7 @@ SIM_POINTS = Code(
 
 
 def sim_points(*, fewest: int, number: int) -> MissionError:
-    """No simulated ground point is seen by enough images."""
+    """No ground point is seen by at least ``fewest`` of the ``number`` images."""
     return MissionError(
         SIM_POINTS,
         "no ground point is seen by {fewest} of the {number} images",

@@ -1,4 +1,4 @@
-"""A simulated mission, from the first draw to the last file."""
+"""Simulates a mission, and writes its logs, observations, truth and mission files."""
 
 import json
 from collections.abc import Callable
@@ -32,6 +32,7 @@ from unbend.simulate.write_tlog import write_tlog
 Progress = Callable[[str, int, int], None]
 
 KINDS = ("bin", "tlog", "mcap")
+# By option of `SimulationOptions`: the lowest and the highest value.
 _LIMITS = {
     "height_above_ground_m": (300.0, 10_000.0),
     "lines": (1, 20),
@@ -45,7 +46,7 @@ _LIMITS = {
 
 @dataclass(frozen=True)
 class SimulationOptions:
-    """What to fly: height [m] above the field, lines, exposures, points; one seed for all noise."""
+    """The survey to fly. The same options give the same files; ``seed`` is that of all noise."""
 
     seed: int = 7
     height_above_ground_m: float = 3000.0
@@ -64,7 +65,7 @@ class SimulationOptions:
 
 @dataclass(frozen=True)
 class Simulated:
-    """The files written, and how much is in them."""
+    """The files written, and what is in them; ``logs``, ``missions`` and ``messages`` by kind."""
 
     folder: Path
     logs: dict[str, Path]
@@ -83,9 +84,9 @@ def simulate(
 ) -> Simulated:
     """Fly a survey with known truth and write its logs, observations, truth and mission files.
 
-    out: folder, made where absent; options: see `SimulationOptions`; progress: called with
-    (stage, done, total). Rays by the eikonal equation, 1e-10 rad; the same seed gives the same
-    bytes. Takes a few seconds.
+    ``out``: folder, made if absent. ``progress``: called with the name of a stage, the number of
+    stages done and of all stages. Rays by the eikonal equation, 1e-10 rad. The same seed gives the
+    same bytes. Takes a few seconds.
     """
     chosen = options or SimulationOptions()
     steps = 4 + len(KINDS)
@@ -134,7 +135,7 @@ def simulate(
 
 @dataclass(frozen=True, eq=False)
 class _Survey:
-    """The true survey, before anything is written."""
+    """The true survey: air, cameras, flight, stations, ground points and observations."""
 
     air: TrueAir
     cameras: tuple[SimulatedCamera, ...]
@@ -145,23 +146,32 @@ class _Survey:
 
 
 def _fly_survey(options: SimulationOptions, begin: Callable[[str], None]) -> _Survey:
-    """The air, the flight, and the rays of all observations."""
+    """Simulate air, flight, stations and observations; ``begin`` is called with each stage."""
     begin("air and flight")
     air = true_air(FIELD_LAT_RAD)
-    pair = cameras(options.focal_px)
+    both_cameras = cameras(options.focal_px)
     flight = fly(options.height_above_ground_m, options.lines, options.exposures_per_line)
     begin("rays")
-    block = stations(flight, air, pair)
+    block = stations(flight, air, both_cameras)
     rng = np.random.default_rng([options.seed, 0])
-    points, station, point = choose_points(flight, block, pair, options.points_per_image, rng)
-    seen = observe(air, block, points, pair, station=station, point=point)
-    return _Survey(air=air, cameras=pair, flight=flight, block=block, points=points, seen=seen)
+    points, station, point = choose_points(
+        flight, block, both_cameras, options.points_per_image, rng
+    )
+    seen = observe(air, block, points, both_cameras, station=station, point=point)
+    return _Survey(
+        air=air,
+        cameras=both_cameras,
+        flight=flight,
+        block=block,
+        points=points,
+        seen=seen,
+    )
 
 
 def _write_logs(
     logs: dict[str, Path], survey: _Survey, seed: int, begin: Callable[[str], None]
 ) -> dict[str, int]:
-    """Write the same samples in every format; returns the numbers of messages."""
+    """Write the same samples to each of the ``logs``; returns the number of messages by kind."""
     camera_names = tuple(camera.name for camera in survey.cameras)
     samples = sensors.sample(survey.flight, survey.air, seed, camera_names)
     messages_of_log = {}
@@ -178,6 +188,7 @@ _WRITERS: dict[str, Callable[[Path, sensors.LoggedSamples, int], int]] = {
 }
 
 
+# Names of constants in `sensors`, in lower case, that truth.json lists.
 _SENSORS = (
     "gnss_horizontal_m",
     "gnss_vertical_m",
@@ -192,13 +203,13 @@ _SENSORS = (
 
 
 def truth_json(
-    options: SimulationOptions, pair: tuple[SimulatedCamera, ...], duration_s: float
+    options: SimulationOptions, simulated_cameras: tuple[SimulatedCamera, ...], duration_s: float
 ) -> str:
-    """Options, conventions, cameras and sigmas of the sensors: truth.json."""
+    """The text of truth.json: options, conventions, cameras and sigmas of the sensors."""
     content = {
         "options": asdict(options),
         "conventions": CONVENTIONS,
-        "cameras": [asdict(camera) for camera in pair],
+        "cameras": [asdict(camera) for camera in simulated_cameras],
         "field_h_msl_m": FIELD_HEIGHT_M,
         "undulation_m": UNDULATION_M,
         "wavelength_um": WAVELENGTH_UM,
@@ -210,17 +221,22 @@ def truth_json(
 
 
 def mission_yaml(
-    kind: str, pair: tuple[SimulatedCamera, ...], *, inputs: str = "", results: str = "results"
+    kind: str,
+    simulated_cameras: tuple[SimulatedCamera, ...],
+    *,
+    inputs: str = "",
+    results: str = "results",
 ) -> str:
-    """The mission file for one of the logs: bin, tlog or mcap.
+    """The text of the mission file for the log of a ``kind``: bin, tlog or mcap.
 
-    ``inputs`` and ``results`` are the folders of both, relative to the mission file.
+    ``inputs`` and ``results``: the folders of the input files and of the results, relative to the
+    mission file.
     """
     text = files("unbend.simulate").joinpath("data/mission.yaml.j2").read_text("utf-8")
     template = Template(text, keep_trailing_newline=True)
     rendered: str = template.render(
         kind=kind,
-        cameras=pair,
+        cameras=simulated_cameras,
         undulation_m=UNDULATION_M,
         inputs=inputs,
         results=results,

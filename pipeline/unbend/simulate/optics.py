@@ -1,9 +1,9 @@
-"""Light on its way to the simulated cameras: curved rays, window, lens, pixels.
+"""The optics of the simulated cameras: curved rays, window, lens, pixels.
 
 Rays follow the eikonal equation d/ds (n dr/ds) = grad n (Born and Wolf, Principles of Optics, 7th
 ed., 3.2 Eq. 2), with n a function of the height above the ellipsoid and its gradient along the
-ellipsoid normal. Positions are differences from the station, in axes parallel to ECEF: nothing
-large is subtracted.
+ellipsoid normal. Positions are differences from the station, in axes parallel to ECEF, so that no
+large numbers are subtracted.
 
 Camera axes: x right, y down, z forward. Pixels: the centre of the upper left pixel is (0.5, 0.5).
 """
@@ -24,8 +24,8 @@ _EP2 = _E2 / (1.0 - _E2)  # second eccentricity, squared
 RAY_TOLERANCE = 1e-12  # relative, of the integration
 OFFSET_TOLERANCE_M = 1e-9
 DIRECTION_TOLERANCE = 1e-15
-AIM_TOLERANCE_M = 1e-8  # a better aim than this is not looked for
-MAX_AIMS = 6  # each gains five digits
+AIM_TOLERANCE_M = 1e-8  # the aim is repeated until all rays miss by less
+MAX_AIMS = 6  # each repetition gains five digits
 
 # A camera at rest in the mount looks down, image top towards the nose (body: forward, right, down).
 CAMERA_FROM_BODY = np.array(
@@ -45,14 +45,14 @@ NED_FROM_ENU = np.array(
 
 
 class Medium(Protocol):
-    """Anything with an index and its slope over height above sea level [m]."""
+    """A medium with a refractive index that is a function of the height above sea level [m]."""
 
     def n(self, h_m: Array) -> Array:
-        """The index at heights."""
+        """The refractive index at heights [m]."""
         ...
 
     def dn_dh(self, h_m: Array) -> Array:
-        """Its slope at heights [1/m]."""
+        """The slope of the index over height [1/m], at heights [m]."""
         ...
 
 
@@ -114,14 +114,17 @@ def ray_ends(
 ) -> Array:
     """Where rays end, relative to their start: (n, 3) [m] in ECEF axes.
 
-    start_m (n, 3) ECEF [m], direction (n, 3) unit vectors, length_m (n,) arc length [m]. All rays
-    are one system over the scaled arc sigma = s / length; DOP853, rtol 1e-12, about 1e-11 rad.
+    start_m (n, 3) ECEF [m], direction (n, 3) unit vectors, length_m (n,) arc length [m]. With the
+    scaled arc sigma = s / length and the ray vector p = n dr/ds: dr/dsigma = length p / n and
+    dp/dsigma = length dn/dh up. All rays are integrated as one system; DOP853, rtol 1e-12, about
+    1e-11 rad. Raises PhysicsError if the integration fails.
     """
     count = start_m.shape[0]
     start_height, _ = height_and_up(start_m)
     n_start = air.n(start_height - undulation_m)
 
     def slope(_: float, state: Array) -> Array:
+        """The derivative over sigma of all offsets r, then of all ray vectors p, as one array."""
         offset, ray = state.reshape(2, count, 3)
         height, up = height_and_up(start_m + offset)
         h_msl = height - undulation_m
@@ -150,7 +153,11 @@ def ray_ends(
 
 @dataclass(frozen=True, eq=False)
 class TracedRays:
-    """Apparent and straight unit directions (n, 3), ECEF axes, and R_c (n,) [rad]."""
+    """Unit directions (n, 3) in ECEF axes from the camera: of the apparent ray and of the chord.
+
+    ``r_c_rad``: (n,) the angle between both, positive where the apparent ray is farther from the
+    nadir. ``miss_m``: (n,) distance between the end of the ray and the ground point [m].
+    """
 
     apparent: Array
     straight: Array
@@ -161,8 +168,9 @@ class TracedRays:
 def shoot(air: Medium, camera_m: Array, ground_m: Array, undulation_m: float) -> TracedRays:
     """The direction in which each camera sees its ground point, by shooting.
 
-    camera_m, ground_m (n, 3) ECEF [m]. The bending is 1e-5 of the ray, so each repetition of the
-    fixed point (aim beside the target by the last miss) gains five digits; it stops below 1e-9 m.
+    camera_m, ground_m (n, 3) ECEF [m]. Each ray is aimed off its ground point by the sum of its
+    misses so far. The bending is 1e-5 of the ray, so each repetition gains five digits; they end
+    when all rays miss by less than `AIM_TOLERANCE_M`.
     """
     chord = ground_m - camera_m
     aim = chord.copy()
@@ -195,8 +203,9 @@ def shoot(air: Medium, camera_m: Array, ground_m: Array, undulation_m: float) ->
 class SimulatedCamera:
     """A pinhole with Brown-Conrady distortion (OpenCV's order k1, k2, p1, p2, k3) in a mount.
 
-    The mount rotation Rz(yaw) Ry(pitch) Rx(roll) turns the camera from rest, in body axes;
-    the lever arm runs from the GNSS reference point to the camera, body forward, right, down.
+    The mount rotation Rz(yaw) Ry(pitch) Rx(roll), in body axes, rotates the camera from its
+    position at rest (`CAMERA_FROM_BODY`). The lever arm is the vector from the GNSS reference point
+    to the camera, in body axes forward, right, down.
     """
 
     name: str
@@ -235,8 +244,9 @@ class SimulatedCamera:
         return x_px, y_px
 
     def sees(self, rays: Array, margin_px: float = 80.0) -> Mask:
-        """Which rays (n, 3) fall on the sensor, a margin inside its edge."""
-        # The distortion polynomial folds far rays back onto the sensor: first without the lens.
+        """Which rays (n, 3) in camera axes fall on the sensor, a margin inside its edge."""
+        # The distortion polynomial folds far rays back onto the sensor: rays beyond 0.6 of its size
+        # without distortion are excluded first.
         reach = 0.6 * np.array([self.width_px, self.height_px]) / self.focal_px
         forward = rays[..., 2:]
         aside = np.abs(rays[..., :2])
@@ -253,7 +263,7 @@ class SimulatedCamera:
 
 
 def cameras(focal_px: float) -> tuple[SimulatedCamera, SimulatedCamera]:
-    """The nadir camera and the one turned 45 deg to the right."""
+    """The nadir camera, and the oblique camera that looks 45 deg to the right."""
     nadir = SimulatedCamera(
         name="nadir",
         instance=0,
@@ -324,7 +334,7 @@ def through_window(rays: Array, n_outside: Array, n_cabin: Array) -> tuple[Array
 
     A plane-parallel window normal to the optical axis: n_cc sin zeta_f = n_a sin zeta_a (Gyer
     1996, Eq. 36, 37), so the component along the window scales by n_a / n_cc. Exact.
-    R_cc = zeta_a - zeta_f, positive where the cabin air is the denser.
+    R_cc = zeta_a - zeta_f, positive where the cabin air is denser than the air outside.
     """
     ratio = np.asarray(n_outside / n_cabin)
     across = rays[..., :2] * ratio[..., None]

@@ -1,6 +1,6 @@
-"""What the sensors of the aircraft report: truth sampled on one grid a sensor, noise drawn once.
+"""Samples of the sensors: the truth at the times of each sensor, with noise that is drawn once.
 
-All three logs carry (a subset of) these samples, so they differ in nothing but their format.
+All three logs have the same samples, or some of them: they differ only in format.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ NAVIGATION_PERIOD_S = 0.05
 PRESSURE_PERIOD_S = 0.1
 AIR_PERIOD_S = 0.4  # thermometer and hygrometer
 
-# Slow noise is smooth over so many samples.
+# Sigma of the Gaussian that smooths the slow noise [samples].
 GNSS_SMOOTH = 100.0
 NAVIGATION_SMOOTH = 400.0
 HEADING_SMOOTH = 600.0
 
+# Sigmas of the noise of each sensor, and the bias of the thermometer outside.
 GNSS_HORIZONTAL_M = 0.03
 GNSS_VERTICAL_M = 0.05
 TILT_DEG = 0.02
@@ -48,7 +49,7 @@ BAROMETER_PA = 20.0
 THERMOMETER_K = 0.2
 THERMOMETER_BIAS_K = 0.5
 HUMIDITY = 0.02
-# What the last digit of a sensor is; coarse enough for every log to carry the same number.
+# The last digit of each sensor; so coarse that every log format has the same number.
 PRESSURE_DIGIT_PA = 1.0
 TEMPERATURE_DIGIT_K = 0.01
 HUMIDITY_DIGIT = 1e-4
@@ -57,7 +58,10 @@ BOARD_HEAT_K = 15.0  # a barometer's own thermometer sits on a warm board
 
 @dataclass(frozen=True, eq=False)
 class GnssSamples(State):
-    """Receiver fixes, 5 Hz, on the receiver's own time, and how late [s] each row is written."""
+    """Fixes of the receiver, 5 Hz, at the times of the receiver.
+
+    ``log_delay_s``: (n,) time from a fix until its row is written [s].
+    """
 
     log_delay_s: Array
 
@@ -70,7 +74,7 @@ class GnssSamples(State):
     def draw(cls, flight: Flight, rng: np.random.Generator) -> GnssSamples:
         """The samples of a flight, with noise."""
         fixes = _displaced(flight.at(_grid(flight, GNSS_PERIOD_S, 0.0)), rng, GNSS_SMOOTH)
-        # A time-tagged receiver: the row is written within milliseconds, and now and then late.
+        # Rows are written some milliseconds after the fix, at most 50 ms.
         delay = np.minimum(0.0005 + rng.exponential(0.0015, len(fixes.time_s)), 0.05)
         return cls(**vars(fixes), log_delay_s=np.asarray(np.round(delay, 6), np.float64))
 
@@ -92,7 +96,11 @@ def navigation_samples(flight: Flight, rng: np.random.Generator) -> State:
 
 @dataclass(frozen=True, eq=False)
 class BoxSamples:
-    """A box outside or in the cabin: barometer at 10 Hz, thermometer, hygrometer at 2.5 Hz."""
+    """A sensor box, outside or in the cabin: barometer at 10 Hz, thermometer, hygrometer at 2.5 Hz.
+
+    ``pressure_time_s``: the times of pressure and of ``board_k``, the temperature of the board;
+    ``time_s``: those of temperature and humidity.
+    """
 
     pressure_time_s: Array
     pressure_pa: Array
@@ -108,7 +116,7 @@ class BoxSamples:
         slow_s = _grid(flight, AIR_PERIOD_S, 0.041)
         h_fast = flight.at(fast_s).h_msl_m
         h_slow = flight.at(slow_s).h_msl_m
-        warmer = THERMOMETER_BIAS_K + THERMOMETER_K * rng.standard_normal(len(slow_s))
+        thermometer_error = THERMOMETER_BIAS_K + THERMOMETER_K * rng.standard_normal(len(slow_s))
         humidity = relative_humidity(h_slow) + HUMIDITY * rng.standard_normal(len(slow_s))
         pressure = air.pressure_pa(h_fast) + BAROMETER_PA * rng.standard_normal(len(fast_s))
         return cls(
@@ -116,7 +124,7 @@ class BoxSamples:
             pressure_pa=pressure,
             board_k=temperature_k(h_fast) + BOARD_HEAT_K,
             time_s=slow_s,
-            temperature_k=temperature_k(h_slow) + warmer,
+            temperature_k=temperature_k(h_slow) + thermometer_error,
             humidity=humidity,
         ).read_out()
 
@@ -140,7 +148,7 @@ class BoxSamples:
         ).read_out()
 
     def read_out(self) -> BoxSamples:
-        """The samples to the last digit of each sensor."""
+        """The samples, rounded to the last digit of each sensor."""
         return replace(
             self,
             pressure_pa=_digits(self.pressure_pa, PRESSURE_DIGIT_PA),
@@ -181,7 +189,7 @@ def gps_week_ms(time_s: Array) -> tuple[Integers, Integers]:
 
 
 def rows_of(time_us: Integers, *columns: ArrayLike) -> Iterator[tuple[Any, ...]]:
-    """Rows of (n,) times and columns, which are (n,) or one value for all."""
+    """Yield tuples of a time and the value of each column at it; a column is (n,) or one value."""
     values = [time_us.tolist()]
     for column in columns:
         values.append(np.broadcast_to(column, time_us.shape).tolist())
@@ -203,39 +211,42 @@ def sample(flight: Flight, air: TrueAir, seed: int, camera_names: tuple[str, ...
 
 
 def _grid(flight: Flight, period_s: float, first_s: float) -> Array:
-    """Sampling times, whole milliseconds as the messages carry them."""
+    """Times [s] of the samples of a sensor, from ``first_s`` on, rounded to milliseconds."""
     count = int((flight.duration_s - first_s - 0.1) / period_s)
     return np.round(first_s + period_s * np.arange(count), 3)
 
 
-def _noise(rng: np.random.Generator, count: int, sigma: float, samples: float) -> Array:
-    """Noise of which nine tenths are slow, white under a Gaussian of so many samples."""
+def _noise(rng: np.random.Generator, count: int, sigma: float, smooth_samples: float) -> Array:
+    """(count,) noise with a sigma; nine tenths of its variance are slow, the rest is white.
+
+    The slow part is white noise smoothed by a Gaussian with a sigma of ``smooth_samples``.
+    """
     white = rng.standard_normal(count)
-    smooth = gaussian_filter1d(rng.standard_normal(count), samples, mode="wrap")
-    slow = smooth * np.sqrt(2.0 * np.sqrt(np.pi) * samples)  # of unit variance
+    smooth = gaussian_filter1d(rng.standard_normal(count), smooth_samples, mode="wrap")
+    slow = smooth * np.sqrt(2.0 * np.sqrt(np.pi) * smooth_samples)  # of unit variance
     return np.asarray(sigma * (np.sqrt(0.9) * slow + np.sqrt(0.1) * white))
 
 
-def _displaced(truth: State, rng: np.random.Generator, samples: float) -> State:
-    """A true state with the noise of a receiver's place and height."""
+def _displaced(truth: State, rng: np.random.Generator, smooth_samples: float) -> State:
+    """The true states with the noise of a receiver in position and height (`_noise`)."""
     lat = truth.lat_rad
     count = len(truth.time_s)
-    north = _noise(rng, count, GNSS_HORIZONTAL_M, samples)
-    east = _noise(rng, count, GNSS_HORIZONTAL_M, samples)
+    north = _noise(rng, count, GNSS_HORIZONTAL_M, smooth_samples)
+    east = _noise(rng, count, GNSS_HORIZONTAL_M, smooth_samples)
     return replace(
         truth,
         lat_rad=lat + north / WGS84_A,
         lon_rad=truth.lon_rad + east / (WGS84_A * np.cos(lat)),
-        h_msl_m=truth.h_msl_m + _noise(rng, count, GNSS_VERTICAL_M, samples),
+        h_msl_m=truth.h_msl_m + _noise(rng, count, GNSS_VERTICAL_M, smooth_samples),
     )
 
 
 def _celsius_digits(temperature: Array) -> Array:
-    """Temperatures [K] to the last digit that a sensor has of them in degrees Celsius."""
+    """Temperatures [K], rounded to the last digit of a sensor that reads degrees Celsius."""
     celsius = _digits(temperature - ZERO_CELSIUS_K, TEMPERATURE_DIGIT_K)
     return ZERO_CELSIUS_K + celsius
 
 
 def _digits(values: Array, digit: float) -> Array:
-    """Values in whole numbers of a digit."""
+    """Values rounded to whole multiples of ``digit``."""
     return np.asarray(digit * np.rint(values / digit))

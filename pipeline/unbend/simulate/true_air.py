@@ -1,7 +1,7 @@
-"""The true air: an atmosphere that is no standard, and what the simulated sensors feel of it.
+"""The true air of the simulation, which differs from standard atmospheres.
 
-Everything is a smooth function of the height above sea level, so that a ray can be integrated to
-the last digit. Written from the sources alone; nothing here is shared with `unbend.atmosphere`.
+All quantities are smooth functions of the height above sea level, so that a ray can be integrated
+to the last digit. Written from the sources alone; nothing here is shared with `unbend.atmosphere`.
 """
 
 from dataclasses import dataclass
@@ -26,12 +26,12 @@ LOWEST_M = -300.0
 HIGHEST_M = 31_000.0
 KNOT_STEP_M = 10.0
 SPLINE_DEGREE = 7
-FIELD_HEIGHT_M = 450.0
+FIELD_HEIGHT_M = 450.0  # of the airfield, above sea level
 FIELD_PRESSURE_PA = 96_850.0
 
 _FIELD_TEMPERATURE_K = 290.0
 _LAPSE_K_PER_M = 6.9e-3
-_INVERSION_K = 6.5  # the step against the lapse: a rise of about 4 K between 1200 and 1500 m
+_INVERSION_K = 6.5  # step added to the lapse: a rise of about 4 K between 1200 and 1500 m
 _INVERSION_M = 1350.0
 _INVERSION_WIDTH_M = 90.0
 _TROPOPAUSE_M = 11_000.0
@@ -113,9 +113,9 @@ def edlen_index(
     """
     t = temperature - ZERO_CELSIUS_K
     s = 1.0 / wavelength_um**2
-    standard = 1e-8 * (8342.54 + 2_406_147.0 / (130.0 - s) + 15_998.0 / (38.9 - s))
+    standard_refractivity = 1e-8 * (8342.54 + 2_406_147.0 / (130.0 - s) + 15_998.0 / (38.9 - s))
     x = (1.0 + 1e-8 * (0.601 - 0.00972 * t) * pressure_pa) / (1.0 + 0.003661 * t)
-    dry = pressure_pa * standard * x / 96_095.43
+    dry = pressure_pa * standard_refractivity * x / 96_095.43
     water = 1e-10 * (292.75 / temperature) * (3.7345 - 0.0401 * s) * vapour_pa
     return np.asarray(1.0 + dry - water)
 
@@ -149,17 +149,19 @@ def true_air(lat_rad: float) -> TrueAir:
     """Integrate the hydrostatic equation at a latitude [rad] and tabulate the index.
 
     Dry gas constant from R* and M0 of the US Standard Atmosphere 1976, moist air by the virtual
-    temperature T / (1 - 0.378 e/p). Closed by DOP853 at rtol 1e-12.
+    temperature T / (1 - 0.378 e/p). Integrated by DOP853 at rtol 1e-12.
     """
 
     def slope(h: float, log_p: Array) -> Array:
+        """d(ln p)/dh [1/m] of moist air at a height [m]."""
         height = np.array(h)
         moist = 1.0 - VAPOUR_DEFICIT * vapour_pressure_pa(height) / np.exp(log_p)
         molar_weight = MOLAR_MASS_AIR * normal_gravity(lat_rad, h)
         return np.asarray(-molar_weight * moist / (GAS_CONSTANT_1976 * temperature_k(height)))
 
     def log_pressure_from_field(heights: Array, end_m: float) -> Array:
-        # Steps of 100 m keep the interpolant between them as good as the steps: 1e-13 in ln p.
+        """ln p at ``heights`` [m], in order from the field to ``end_m``, which may be lower."""
+        # With steps of at most 100 m, values between steps are as accurate: 1e-13 in ln p.
         solution = solve_ivp(
             slope,
             (FIELD_HEIGHT_M, end_m),
@@ -182,7 +184,7 @@ def true_air(lat_rad: float) -> TrueAir:
     log_p[below] = log_pressure_from_field(knots[below][::-1], LOWEST_M)[::-1]
     log_p[above] = log_pressure_from_field(knots[above], HIGHEST_M)
     n = edlen_index(np.exp(log_p), temperature_k(knots), vapour_pressure_pa(knots))
-    # The 1 is left out while fitting: n - 1 keeps twelve digits where n would keep eight of slope.
+    # Fitted is n - 1: its slope has twelve digits, that of n would have eight.
     excess = make_interp_spline(knots, n - 1.0, k=SPLINE_DEGREE)
     return TrueAir(
         log_pressure=make_interp_spline(knots, log_p, k=SPLINE_DEGREE),

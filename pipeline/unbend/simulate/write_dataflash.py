@@ -1,4 +1,4 @@
-"""The flight as an ArduPilot DataFlash log, packed row by row as the FMT rows announce it."""
+"""Writes the flight as an ArduPilot DataFlash log; FMT records define how rows are packed."""
 
 import struct
 import tomllib
@@ -15,10 +15,10 @@ from unbend.simulate.flight import State
 from unbend.simulate.true_air import FIELD_HEIGHT_M
 from unbend.units import ZERO_CELSIUS_K, Array, Integers
 
-Row = tuple[int, bytes]
+Row = tuple[int, bytes]  # time since boot [us] (rows are sorted by it), and the record
 
 _MAGIC = b"\xa3\x95"
-# Characters of a format string: how a value is packed, and the scale of fixed-point ones.
+# By character of a format string: how `struct` packs a value, and the scale of fixed-point ones.
 _PACK = {
     "b": "b",
     "B": "B",
@@ -45,7 +45,7 @@ _SCALE = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
 
 @dataclass(frozen=True)
 class _Format:
-    """One FMT row with its units and multipliers."""
+    """The definition of a message: its FMT record, and units and multipliers of its columns."""
 
     type_id: int
     name: str
@@ -56,7 +56,7 @@ class _Format:
 
     @cached_property
     def struct(self) -> struct.Struct:
-        """How the columns of a record are packed."""
+        """The layout of the columns of a record, without its header."""
         return struct.Struct("<" + "".join(_PACK[character] for character in self.format))
 
     @property
@@ -75,7 +75,10 @@ class _Format:
         return _MAGIC + bytes([self.type_id]) + self.struct.pack(*packed)
 
     def rows(self, time_us: Integers, **columns: ArrayLike) -> list[Row]:
-        """A record for each of (n,) times; columns, by name, are (n,), or one value for all."""
+        """A record for each of (n,) times; each column is (n,) or one value for all records.
+
+        Raises TypeError for a column that the message does not have.
+        """
         _, *names = self.columns.split(",")  # the first is TimeUS
         values = [columns.pop(name) for name in names]
         if columns:
@@ -89,15 +92,15 @@ FORMATS: dict[str, _Format] = {}
 for _name, (_type_id, *_texts) in _ANNOUNCED["formats"].items():
     FORMATS[_name] = _Format(_type_id, _name, *_texts)
 
-HEAD_BEFORE_US = 500_000  # before the log begins
+HEAD_BEFORE_US = 500_000  # how long before the samples the definitions and parameters are logged
 SHUTTER_LAG_US = 85_000  # from the command to the shutter
 SEA_LEVEL_PA = 101_325.0
 DRY_AIR_J_KG_K = 287.05
-STANDARD_DENSITY_KG_M3 = 1.225  # of indicated airspeed
+STANDARD_DENSITY_KG_M3 = 1.225  # assumed for airspeed from dynamic pressure
 
 
 def write_dataflash(path: Path, samples: sensors.LoggedSamples) -> int:
-    """Write the log; returns the number of messages, announcements included."""
+    """Write the log; returns the number of its messages, definitions included."""
     head = _announcements()
     rows = [*_position_rows(samples), *_air_rows(samples), *_camera_rows(samples)]
     rows.sort(key=lambda row: row[0])
@@ -107,7 +110,7 @@ def write_dataflash(path: Path, samples: sensors.LoggedSamples) -> int:
 
 
 def _announcements() -> list[bytes]:
-    """FMT, UNIT, MULT, FMTU, PARM, VER and MSG, which stand at the start of every log."""
+    """The records at the start of each log: FMT, UNIT, MULT, FMTU, PARM, VER and MSG."""
     begin_us = sensors.LOG_BEGINS_BOOT_US - HEAD_BEFORE_US
     head = []
     for form in FORMATS.values():
@@ -133,7 +136,7 @@ def _announcements() -> list[bytes]:
 
 
 def _position_rows(samples: sensors.LoggedSamples) -> list[Row]:
-    """GPS and GPA of the receiver; ATT and POS at 10 Hz, half the rate of the autopilot."""
+    """Rows GPS and GPA of the receiver; ATT and POS of every second navigation sample (10 Hz)."""
     gnss = samples.gnss
     measured_us = sensors.boot_us(gnss.time_s)
     written_us = sensors.boot_us(gnss.time_s + gnss.log_delay_s)
@@ -209,6 +212,7 @@ class _Degrees:
 
 
 def _degrees(state: State) -> _Degrees:
+    """Place and attitude of states, in degrees."""
     yaw = np.degrees(state.yaw_rad)
     return _Degrees(
         lat=np.degrees(state.lat_rad),
@@ -220,7 +224,7 @@ def _degrees(state: State) -> _Degrees:
 
 
 def _air_rows(samples: sensors.LoggedSamples) -> list[Row]:
-    """BARO and HYGR of the boxes outside (0) and in the cabin (1), ARSP with the outside Temp."""
+    """Rows BARO and HYGR of the boxes outside (instance 0) and in the cabin (1), and ARSP."""
     rows: list[Row] = []
     for instance, box in enumerate((samples.outside, samples.cabin)):
         rows += _barometer_rows(instance, box)
@@ -234,7 +238,7 @@ def _air_rows(samples: sensors.LoggedSamples) -> list[Row]:
 
 
 def _barometer_rows(instance: int, box: sensors.BoxSamples) -> list[Row]:
-    """BARO: Alt is ArduPilot's, in the standard atmosphere against the pressure at boot."""
+    """Rows BARO: Alt is as in ArduPilot, the height above boot in the standard atmosphere."""
     time_us = sensors.boot_us(box.pressure_time_s)
     height = 44_330.8 * (1.0 - (box.pressure_pa / SEA_LEVEL_PA) ** 0.190263)
     above_boot = height - height[0]
@@ -255,7 +259,7 @@ def _barometer_rows(instance: int, box: sensors.BoxSamples) -> list[Row]:
 
 
 def _pitot_rows(box: sensors.BoxSamples, navigation: State) -> list[Row]:
-    """ARSP: the dynamic pressure of the true speed in the true air."""
+    """Rows ARSP: the dynamic pressure of the ground speed (no wind) in the measured air."""
     speed = np.interp(box.time_s, navigation.time_s, navigation.speed_m_s)
     pressure = np.interp(box.time_s, box.pressure_time_s, box.pressure_pa)
     dynamic_pressure = 0.5 * pressure / (DRY_AIR_J_KG_K * box.temperature_k) * speed**2
@@ -276,14 +280,14 @@ def _pitot_rows(box: sensors.BoxSamples, navigation: State) -> list[Row]:
 
 
 def _camera_rows(samples: sensors.LoggedSamples) -> list[Row]:
-    """TRIG at the command and CAM at the shutter, one of each for every camera."""
+    """Rows TRIG at the command and CAM at the shutter, one of each for an exposure and camera."""
     shutter_us = sensors.boot_us(samples.exposure_s)
     rows = _exposure_rows("TRIG", samples, shutter_us - SHUTTER_LAG_US)
     return rows + _exposure_rows("CAM", samples, shutter_us)
 
 
 def _exposure_rows(message: str, samples: sensors.LoggedSamples, time_us: Integers) -> list[Row]:
-    """One row an exposure and camera, with the place at that time and the last fix before it."""
+    """A row for each exposure and camera, with the state at its time and the last fix before it."""
     time_s = np.asarray((time_us - sensors.LOG_BEGINS_BOOT_US) * 1e-6, np.float64)
     gnss = samples.gnss
     written_s = gnss.time_s + gnss.log_delay_s

@@ -1,4 +1,4 @@
-"""The flight as a ROS 2 recording: CDR messages in zstd chunks, written by mcap-ros2-support."""
+"""Writes the flight as a ROS 2 recording: CDR messages in zstd chunks, by mcap-ros2-support."""
 
 import tomllib
 from collections.abc import Mapping
@@ -18,15 +18,15 @@ from unbend.units import NANOSECONDS_PER_SECOND, ZERO_CELSIUS_K
 _FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])
 _CHUNK_BYTES = 1024 * 1024
 
-SHORTEST_DELAY_NS = 2e6  # from a sensor's stamp to the recorder
+SHORTEST_DELAY_NS = 2e6  # from the stamp of a sensor to log_time of the recorder
 LONGEST_DELAY_NS = 15e6
-NO_ESTIMATE = [-1.0] + [0.0] * 8  # sensor_msgs/Imu: covariance of what is not estimated
+NO_ESTIMATE = [-1.0] + [0.0] * 8  # sensor_msgs/Imu: covariance of a quantity without estimate
 ZERO_VECTOR = {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
 @dataclass(frozen=True)
 class Row:
-    """A message: its header.stamp, and the fields beside the header."""
+    """A message: its header.stamp [Unix ns], topic, schema, and all fields but the header."""
 
     stamp_ns: int
     topic: str
@@ -35,7 +35,7 @@ class Row:
 
     @property
     def content(self) -> dict[str, Any]:
-        """All fields; the frame is named by the first part of the topic."""
+        """The message with its header; frame_id is the first part of the topic."""
         sec, nanosec = divmod(self.stamp_ns, NANOSECONDS_PER_SECOND)
         header = {
             "stamp": {"sec": sec, "nanosec": nanosec},
@@ -80,6 +80,7 @@ def write_mcap(path: Path, samples: sensors.LoggedSamples, seed: int) -> int:
 
 
 def _register_schemas(writer: Writer) -> dict[str, Any]:
+    """Register the message definitions of data/ros2.toml; returns the schemas by name."""
     text = files("unbend.simulate").joinpath("data/ros2.toml").read_text("utf-8")
     schemas = {}
     for name, definition in tomllib.loads(text).items():
@@ -135,13 +136,13 @@ def _attitude_rows(navigation: State) -> list[Row]:
 
 
 def _diagonal(*variances: float) -> list[float]:
-    """A covariance matrix, row by row."""
+    """A covariance matrix with these variances on its diagonal, as a list row by row."""
     matrix: list[float] = np.diag(variances).ravel().tolist()
     return matrix
 
 
 def _air_rows(place: str, box: sensors.BoxSamples) -> list[Row]:
-    """Pressure of one place at 5 Hz, temperature and humidity at 2.5 Hz."""
+    """Pressure of a box at 5 Hz, temperature and humidity at 2.5 Hz, on topics /``place``/..."""
     rows = []
     stamps = sensors.unix_ns(box.pressure_time_s)[::2].tolist()
     pressures = box.pressure_pa[::2].tolist()
@@ -149,7 +150,7 @@ def _air_rows(place: str, box: sensors.BoxSamples) -> list[Row]:
         fields = {"fluid_pressure": pressure, "variance": sensors.BAROMETER_PA**2}
         topic = f"/{place}/pressure"
         rows.append(Row(stamp, topic, "sensor_msgs/msg/FluidPressure", fields))
-    # Rounded to what the sensors read: the digits of a subtraction in binary are not theirs.
+    # Rounded to the last digits of the sensors: a binary subtraction adds further digits.
     celsius = np.round(box.temperature_k - ZERO_CELSIUS_K, 2).tolist()
     humidity = np.round(box.humidity, 4).tolist()
     for i, stamp in enumerate(sensors.unix_ns(box.time_s).tolist()):
@@ -163,7 +164,7 @@ def _air_rows(place: str, box: sensors.BoxSamples) -> list[Row]:
 
 
 def _image_rows(samples: sensors.LoggedSamples) -> list[Row]:
-    """Image topics whose pictures were left out of the recording: the stamp is the shutter."""
+    """Rows of image topics, without the pictures: the stamp is the time of the shutter."""
     schema = "sensor_msgs/msg/CompressedImage"
     no_picture = {"format": "jpeg", "data": b""}
     rows = []

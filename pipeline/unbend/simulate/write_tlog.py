@@ -1,4 +1,4 @@
-"""The flight as the telemetry log of a ground station: MAVLink 2 frames with the host's stamps."""
+"""Writes the flight as the telemetry log of a ground station: MAVLink 2 frames with stamps."""
 
 import struct
 from collections.abc import Callable
@@ -31,10 +31,10 @@ from unbend.simulate.flight import State
 from unbend.simulate.true_air import FIELD_HEIGHT_M
 from unbend.units import HECTOPASCAL, ZERO_CELSIUS_K, Array, Integers
 
-HOST_AHEAD_S = 1.26
-HOST_JITTER_S = 0.05
+HOST_AHEAD_S = 1.26  # the clock of the ground station minus UTC
+HOST_JITTER_S = 0.05  # the longest time from sending a frame to its stamp
 FEEDBACK_US = 20_000  # from the shutter to the message of the first camera ...
-FEEDBACK_STEP_US = 1000  # ... and from camera to camera
+FEEDBACK_STEP_US = 1000  # ... and between the messages of successive cameras
 LINK_BITS = 3  # the two lowest bits of a stamp carry MAVProxy's link number; this is link 0
 
 # When a message is sent [boot us], and the message.
@@ -44,8 +44,8 @@ Row = tuple[int, Any]
 def write_tlog(path: Path, samples: sensors.LoggedSamples, seed: int) -> int:
     """Write the log; returns the number of frames.
 
-    The host's clock is 1.26 s ahead and stamps a frame up to 50 ms late, in the order in which
-    frames arrive.
+    The ground station (host) stamps a frame up to 50 ms after it is sent, with a clock that is
+    1.26 s ahead. Frames arrive in the order in which they are sent.
     """
     rows = [
         *_system_rows(samples),
@@ -66,7 +66,10 @@ def write_tlog(path: Path, samples: sensors.LoggedSamples, seed: int) -> int:
 
 
 def _stamps_us(sent_us: list[int], seed: int) -> Integers:
-    """Unix times [us] at which the host gets frames: in their order, by its own clock."""
+    """(n,) the stamps of frames by the clock of the host [Unix us], never falling.
+
+    ``sent_us``: (n,) times since boot [us] at which the frames are sent, in rising order.
+    """
     late_s = np.random.default_rng([seed, 2]).uniform(0.0, HOST_JITTER_S, len(sent_us))
     off_us = np.rint((HOST_AHEAD_S + late_s) * 1e6).astype(np.int64)
     since_beginning_us = np.array(sent_us) - sensors.LOG_BEGINS_BOOT_US
@@ -75,7 +78,7 @@ def _stamps_us(sent_us: list[int], seed: int) -> Integers:
 
 
 def _messages(kind: Callable[..., Any], sent_us: Integers, **columns: ArrayLike) -> list[Row]:
-    """A message for each of (n,) times; columns, by name, are (n,), or one value for all."""
+    """A message of a ``kind`` for each of (n,) times; each column is (n,) or one value for all."""
     rows: list[Row] = []
     for time_us, *values in sensors.rows_of(sent_us, *columns.values()):
         rows.append((time_us, kind(**dict(zip(columns, values, strict=True)))))
@@ -83,14 +86,17 @@ def _messages(kind: Callable[..., Any], sent_us: Integers, **columns: ArrayLike)
 
 
 def _whole(values: Array) -> Integers:
+    """Values rounded to integers."""
     return np.rint(values).astype(np.int64)
 
 
 def _degrees_e7(angle_rad: Array) -> Integers:
+    """Angles [rad] as integers in units of 1e-7 degrees."""
     return _whole(np.degrees(angle_rad) * 1e7)
 
 
 def _millimetres(height_m: Array) -> Integers:
+    """Heights [m] as integers in millimetres."""
     return _whole(height_m * 1e3)
 
 
@@ -150,7 +156,7 @@ def _navigation_rows(navigation: State) -> list[Row]:
 
 
 def _attitude_rows(navigation: State) -> list[Row]:
-    """ATTITUDE of every second state, with the rates between all of them."""
+    """ATTITUDE of every second state; the angular rates are computed from all states."""
     time_us = sensors.boot_us(navigation.time_s)[::2]
     yaw = np.remainder(navigation.yaw_rad + np.pi, 2.0 * np.pi) - np.pi
     roll_rate = np.gradient(navigation.roll_rad, navigation.time_s)
@@ -170,7 +176,7 @@ def _attitude_rows(navigation: State) -> list[Row]:
 
 
 def _position_rows(state: State) -> list[Row]:
-    """GLOBAL_POSITION_INT: velocities are those of an aircraft that flies where it points."""
+    """GLOBAL_POSITION_INT: the horizontal velocity has the direction of the heading (no wind)."""
     time_us = sensors.boot_us(state.time_s)
     speed_cm_s = 100.0 * state.speed_m_s
     return _messages(

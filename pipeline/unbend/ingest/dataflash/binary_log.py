@@ -1,4 +1,4 @@
-"""ArduPilot DataFlash logs (.bin): the registry's entry of this format, and how one is read."""
+"""ArduPilot DataFlash logs (.bin): the entry of this format for the registry, and its reader."""
 
 from collections.abc import Collection, Sequence
 from functools import partial
@@ -19,15 +19,15 @@ from unbend.messages import Ledger
 
 
 def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> Contents:
-    """The contents of a binary log; ``witnesses`` are other clocks that tell its date."""
+    """The contents of a binary log; ``witnesses`` are other clocks that know its date."""
     wanted = wanted_fields()
     with open_view(path) as data:
         walker = RecordWalker(data, wanted)
-        line = timeline(stamps(data, walker))  # walks through the file: then all records are known
+        line = timeline(stamps(data, walker))  # reads the file: now the walker knows all records
         tables = decode(walker, wanted)
     walker.report_bytes(ledger, path.name, "record")
     for definition in walker.refused:
-        if walker.bad_bytes:  # maybe of records of this definition
+        if walker.bad_bytes:  # these may be records of this definition
             ledger.add(messages.bad_definition(file=path.name, definition=definition))
         else:
             ledger.add(messages.unused_bad_definition(file=path.name, definition=definition))
@@ -51,7 +51,7 @@ DATAFLASH = LogFormat("dataflash", "ArduPilot DataFlash", (".bin",), _is_binary,
 
 
 def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
-    """All messages of some types, or of every type, with all their fields and `PLACE`."""
+    """All messages of some types (``names`` None: of every type), with all fields and `PLACE`."""
     with open_view(path) as data:
         walker = find_records(data, names)
         chosen = walker.message_counts() if names is None else names
@@ -59,4 +59,5 @@ def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, T
 
 
 def _every_field(name: str) -> bool:
+    """The test for a wanted field that accepts each field."""
     return True

@@ -27,12 +27,12 @@ from unbend.messages import Ledger
 from unbend.units import Integers, Mask, whole_numbers
 
 RECEIVERS = ("GPS", "GPS2")
-_WEEKS = 1 << 13  # until 2137: the fit is by the median, which more than half of the rows decide
+_WEEKS = 1 << 13  # GPS weeks until 2137; single wrong weeks below do not change a median
 _MS_PER_WEEK = SECONDS_PER_WEEK * 1000
 _UTC_FIELDS = {"GMS", "GWk", "Status"}  # of a receiver
-_FIELDS_OF_TIME = (*_UTC_FIELDS, "Week", "T")  # ... and what these were until 2015
-LISTED_INSTANCES = 8  # of the stray ones, in the ledger
-STRAY_SHARE = 100  # rows of an instance for each row of one that is damage
+_FIELDS_OF_TIME = (*_UTC_FIELDS, "Week", "T")  # ... with their names until 2015
+LISTED_INSTANCES = 8  # most stray instances that the ledger lists
+STRAY_SHARE = 100  # times as many rows has another instance, if one with few rows is damage
 
 MESSAGES: Mapping[str, MessageMap] = message_maps("dataflash")
 
@@ -45,10 +45,10 @@ ACCURACY_FIELDS = [field for column in _ACCURACY_MAP.columns for field in column
 
 
 def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
-    """The words of the autopilot in each row of MSG, EV or ERR.
+    """The text of each row of MSG, EV or ERR, from the given field.
 
-    MSG has texts; EV and ERR have numbers, whose names `MAPS` knows. None where the field is absent
-    or of another kind.
+    MSG has texts. EV and ERR have numbers, which get their names from `MAPS`; ERR also has an error
+    code. None if the field is absent or of another kind.
 
     >>> texts_of("ERR", "Subsys", {"Subsys": np.array([16], "u1"), "ECode": np.array([2], "u1")})
     ('ERR EKFCHECK 2',)
@@ -71,7 +71,7 @@ def texts_of(message: str, field: str, table: Table) -> tuple[str, ...] | None:
 
 
 def instance_of(table: Table) -> NDArray[Any]:
-    """(n,) number of the instance (sensor, core) of each row; -1 where a message has none.
+    """(n,) number of the instance (sensor, core) of each row; -1 in messages without instances.
 
     Only integers are instances: the field I of PID messages is an integral gain.
     """
@@ -89,7 +89,10 @@ def _length(table: Table) -> int:
 
 
 def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
-    """Walk through the log; yields places and times [ns] of the records that begin with a time."""
+    """Read the log; yield places and times since boot [ns] of records that begin with a time.
+
+    When all is yielded, the ``walker`` knows all records.
+    """
     for block in walker.blocks():
         time_fields = [form.time_field for form in walker.definitions]
         places, time_us = _times_of_block(data, block, time_fields)
@@ -100,9 +103,9 @@ def stamps(data: FileView, walker: RecordWalker) -> Iterator[Stamps]:
 def _times_of_block(
     data: FileView, block: RecordBlock, time_fields: list[str]
 ) -> tuple[Integers, TimeArray]:
-    """Places and times since boot [us] of the records of a block that begin with a time.
+    """Places in the file and times since boot [us] of the records that begin with a time.
 
-    ``time_fields``: the name of the first field of each definition if that is a time, else "".
+    ``time_fields``: for each definition TimeUS or TimeMS if that is its first field, else "".
     """
     has_time = np.array([bool(field) for field in time_fields])[block.numbers]
     offsets = block.at[has_time].astype(np.int64)
@@ -111,7 +114,7 @@ def _times_of_block(
     raw = data.array(block.base, block.end())
     time_us = microseconds(gather(raw, offsets + HEADER, 8).view("<u8"))
     is_definition_in_ms = np.array([field == "TimeMS" for field in time_fields])
-    if is_definition_in_ms.any():  # of these, more than the time was read: they are read again
+    if is_definition_in_ms.any():  # TimeMS has 4 bytes, not the 8 that were read
         in_ms = is_definition_in_ms[block.numbers[has_time]]
         time_ms = gather(raw, offsets[in_ms] + HEADER, 4).view("<u4")
         time_us[in_ms] = time_ms * np.int64(1000)
@@ -124,9 +127,9 @@ def clock_of(
     ledger: Ledger,
     witnesses: Sequence[Witness] = (),
 ) -> tuple[BootClock, str]:
-    """The clock of a log from the rows of its GNSS receivers, and where its UTC comes from.
+    """The clock of a log from the rows of its GNSS receivers, and the origin of its UTC in words.
 
-    ``witnesses``: other clocks that tell its date.
+    ``witnesses``: other clocks that know its date.
     """
     report_timeline(line, ledger)
     sources: list[UtcReadings] = []
@@ -153,21 +156,25 @@ def _time_base(clock: BootClock) -> str:
 
 
 def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadings]:
-    """The UTC readings of each receiver (instance) in the table of a message."""
+    """The UTC readings of each receiver (instance) in a table of GPS rows.
+
+    None, with a report, if the table lacks a field. Rows with an impossible week or time are left
+    out.
+    """
     absent = sorted(_UTC_FIELDS - set(table))
     if absent:
         count = table[PLACE].size
         ledger.add(messages.no_utc_fields(message=name, count=count, fields=absent))
         return
     week = table["GWk"]
-    of_week_ms = table["GMS"].astype(np.float64)  # no limit fits a field of 16 bits
+    week_ms = table["GMS"].astype(np.float64)  # integers of 16 bits cannot be compared with a week
     is_week_known = (week > 0) & (week < _WEEKS)
-    is_time_known = (of_week_ms >= 0) & (of_week_ms < _MS_PER_WEEK)
+    is_time_known = (week_ms >= 0) & (week_ms < _MS_PER_WEEK)
     has_utc = is_week_known & is_time_known
     instance = instance_of(table)
     for number in np.unique(instance[has_utc]):
         rows = has_utc & (instance == number)
-        receiver = table  # not copied if all rows are of it: a log may be long
+        receiver = table  # if all rows are of this receiver, they are not copied: a log may be long
         if not bool(rows.all()):
             needed_fields = (PLACE, "TimeUS", *_UTC_FIELDS)
             receiver = {field: table[field][rows] for field in needed_fields}
@@ -187,7 +194,7 @@ def _receiver_utc(table: Table, name: str, ledger: Ledger) -> Iterator[UtcReadin
 
 
 def wanted_fields() -> dict[str, Callable[[str], bool]]:
-    """Which messages are read, and for each of them a test whether a field of it is read."""
+    """The names of the messages that are read, each with a test whether a field of it is read."""
     always = {"TimeUS", "TimeMS", *INSTANCE_FIELDS}
     fields: dict[str, set[str]] = {}
     for name, spec in MESSAGES.items():
@@ -209,9 +216,9 @@ def channels_of(
     clock: BootClock,
     ledger: Ledger,
 ) -> tuple[Channel, ...]:
-    """The channels of the messages that the field map knows.
+    """The channels of the messages in `MESSAGES`.
 
-    Their tables are removed from ``tables``, so that memory does not hold them twice.
+    Their tables are removed from ``tables``, so that no table is in memory twice.
     """
     channels = []
     limit = SeriesLimit()
@@ -226,7 +233,7 @@ def channels_of(
 
 
 class _RowTimes(NamedTuple):
-    """UTC [ns] and boot of the rows of a message, and which have a time that fits the log."""
+    """The UTC [ns] and the boot of (n,) rows of a message; ``good``: False for stray times."""
 
     time_ns: TimeArray
     boot: NDArray[np.int16]
@@ -254,7 +261,7 @@ def _rows_of_message(
     *,
     limit: SeriesLimit,
 ) -> Iterator[DecodedRows]:
-    """The rows of each instance of a message, as channels are built from them.
+    """Yield the rows of each instance of a message, from which its channels are built.
 
     The table of the message, and that of its accuracy, are removed from ``tables``: memory has its
     peak here.
@@ -275,13 +282,13 @@ def _rows_of_message(
     instance = table[spec.id_field] if is_named else instance_of(table)
     table = dict(table)
     del table[PLACE]
-    values = extract(table, spec.columns, copy_rows, used_up=table)  # fields are freed one by one
-    del table  # with the fields that no column is made of
+    values = extract(table, spec.columns, copy_rows, used_up=table)  # frees fields one by one
+    del table  # frees the fields that become no column
     distinct_instances = np.unique(instance)
     if not is_named and not spec.event:  # a name or an exposure may rightly come once
         distinct_instances = _without_stray_instances(message, instance, ledger)
     for number in limit.admitted(distinct_instances.tolist(), instance):
-        has_label = is_named or number >= 0  # -1 is of messages without instances
+        has_label = is_named or number >= 0  # -1 means a message without instances
         label = str(number) if has_label else None
         name = f"{message}[{label}]" if has_label else message
         source = Source(message, label)
@@ -302,7 +309,7 @@ def _text_rows(
     times: _RowTimes,
     ledger: Ledger,
 ) -> Iterator[DecodedRows]:
-    """The rows of a message in which the autopilot reports in words; none without its texts."""
+    """The rows of a message of texts from the autopilot; none, with a report, without texts."""
     texts = texts_of(message, spec.text_field, table)
     if texts is None:
         ledger.add(messages.no_text_field(message=message, field=spec.text_field))
@@ -319,7 +326,7 @@ def _text_rows(
 
 
 def _chosen(rows: DecodedRows, chosen: Mask) -> DecodedRows:
-    """The chosen rows; the rows themselves, without a copy, where all are chosen."""
+    """The rows that the mask selects; not copied if it selects all."""
     return rows if chosen.all() else rows.take(chosen)
 
 
@@ -328,9 +335,10 @@ def _without_stray_instances(
     instance: NDArray[Any],
     ledger: Ledger,
 ) -> NDArray[Any]:
-    """The numbers of the instances of a message, without those that a flipped bit made.
+    """The distinct numbers in ``instance`` (n,), without those that are damage (flipped bits).
 
-    An instance is such damage if it has a few rows and another one has a hundred times as many.
+    An instance is damage if it has at most `STRAY_ROWS` rows, and another instance has
+    `STRAY_SHARE` times as many.
     """
     numbers, counts = np.unique(instance, return_counts=True)
     most = int(counts.max(initial=0))
@@ -348,7 +356,7 @@ def _without_stray_instances(
 
 
 def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger) -> None:
-    """Report fields that hold no numbers, and columns of roles for which there is no field."""
+    """Report fields that are not numbers, and columns of the roles for which there is no field."""
     fields_without_numbers = set()
     columns_without_numbers = set()
     columns_with_numbers = set()
@@ -372,7 +380,10 @@ def _report_fields(message: str, spec: MessageMap, table: Table, ledger: Ledger)
 
 
 def _reported_columns(spec: MessageMap) -> set[str]:
-    """The columns of the roles of a message, without those whose absence `channel_of` reports."""
+    """The columns of the roles of a message that are reported here if they are absent.
+
+    `channel_of` reports the absence of the others.
+    """
     needed: set[str] = set()
     for role in spec.roles:
         needed |= set(ROLE_COLUMNS[role])
@@ -384,19 +395,19 @@ def _reported_columns(spec: MessageMap) -> set[str]:
     return needed
 
 
-_FARTHER_THAN_ALL = 1 << 40  # [bytes] more than any log has
+_FARTHER_THAN_ALL = 1 << 40  # [bytes] longer than any log: pairs with it rank behind all others
 _TIME_BITS = 52  # 2^52 us are 142 years: the instance fits above the time
 _INSTANCE_MASK = 0x3FF  # ten bits above the time: the sign of int64 stays free
 
 
 def _join_accuracy(fixes: Table, accuracies: Table) -> Table:
-    """The table of fixes with the fields of the accuracy messages of equal instance and time."""
+    """The table of fixes with the fields of accuracy of equal instance and time; NaN without."""
     fields = [field for field in ACCURACY_FIELDS if field in accuracies]
     if not fields or "TimeUS" not in accuracies or not accuracies[PLACE].size:
         return fixes
     keyed_fixes = _Keyed(_key(fixes), fixes[PLACE])
     keyed_accuracies = _Keyed(_key(accuracies), accuracies[PLACE])
-    # one for one, as in all logs without damage
+    # row i of both tables belongs together, as in all logs without damage
     if np.array_equal(keyed_fixes.key, keyed_accuracies.key):
         return fixes | {field: accuracies[field] for field in fields}
     fix_rows, accuracy_rows = _nearest_pairs(keyed_fixes, keyed_accuracies)
@@ -415,7 +426,10 @@ class _Keyed(NamedTuple):
 
 
 class _Pairs(NamedTuple):
-    """Rows of a fix and of an accuracy with equal keys, and how far apart in the log [bytes]."""
+    """(n,) pairs of a fix and an accuracy with equal keys: their rows in the two tables.
+
+    ``distances``: how far apart the two are in the log [bytes].
+    """
 
     fix_rows: Integers
     accuracy_rows: Integers
@@ -423,27 +437,27 @@ class _Pairs(NamedTuple):
 
 
 def _nearest_pairs(fixes: _Keyed, accuracies: _Keyed) -> tuple[Integers, Integers]:
-    """Rows of fixes and of accuracies that belong together, each in one pair at most.
+    """Pair fixes with accuracies of equal keys; returns the rows of both, (n,) each.
 
-    An accuracy that follows its fix is preferred to one that precedes it; among equals the one that
-    is nearer in the log. A fix whose accuracy belongs better to another fix has none.
+    Each row is in one pair at most. Pairs in which the accuracy follows the fix are preferred; then
+    those that are nearer in the log. A fix has no accuracy if that is in a better pair.
     """
     keys = np.concatenate([fixes.key, accuracies.key])
     places = np.concatenate([fixes.places, accuracies.places])
-    in_log_order = np.lexsort((places, keys))  # within each key
-    following = _neighbours(fixes, accuracies, in_log_order, shift=0)
-    preceding = _neighbours(fixes, accuracies, in_log_order, shift=-1)
+    by_key_and_place = np.lexsort((places, keys))
+    following = _neighbours(fixes, accuracies, by_key_and_place, shift=0)
+    preceding = _neighbours(fixes, accuracies, by_key_and_place, shift=-1)
     fix_rows = np.concatenate([following.fix_rows, preceding.fix_rows])
     accuracy_rows = np.concatenate([following.accuracy_rows, preceding.accuracy_rows])
     ranks = np.concatenate([following.distances, preceding.distances + _FARTHER_THAN_ALL])
-    pairs = np.argsort(ranks, kind="stable")
+    pairs = np.argsort(ranks, kind="stable")  # indices into the rows above, best first
     pairs = _first_with_each_row(pairs, fix_rows)
     pairs = _first_with_each_row(pairs, accuracy_rows)
     return fix_rows[pairs], accuracy_rows[pairs]
 
 
 def _first_with_each_row(pairs: Integers, rows: Integers) -> Integers:
-    """The pairs, best first, of which each is the first with its row."""
+    """Keep from ``pairs`` (indices into ``rows``, best first) the first with each row."""
     _, first = np.unique(rows[pairs], return_index=True)
     return pairs[np.sort(first)]
 
@@ -451,24 +465,24 @@ def _first_with_each_row(pairs: Integers, rows: Integers) -> Integers:
 def _neighbours(
     fixes: _Keyed,
     accuracies: _Keyed,
-    in_log_order: Integers,
+    by_key_and_place: Integers,
     *,
     shift: int,
 ) -> _Pairs:
     """Pair each fix with the accuracy of its key that follows (``shift`` 0) or precedes it (-1).
 
-    ``in_log_order``: rows of both tables by key and place; those of the accuracies count on from
-    the last fix.
+    ``by_key_and_place``: the rows of both tables in this order; rows of the accuracies are numbered
+    on from the last fix.
     """
     count_of_fixes = fixes.key.shape[0]
-    is_accuracy = in_log_order >= count_of_fixes
-    ordered_accuracy_rows = in_log_order[is_accuracy] - count_of_fixes
+    is_accuracy = by_key_and_place >= count_of_fixes
+    ordered_accuracy_rows = by_key_and_place[is_accuracy] - count_of_fixes
     positions_of_fixes = np.flatnonzero(~is_accuracy)
-    # as many accuracies as stand before a fix: that is the index of the first one behind it
+    # the number of accuracies before a fix is the index of the first accuracy behind it
     following = np.cumsum(is_accuracy)[positions_of_fixes]
     neighbour = following + shift
     has_neighbour = (neighbour >= 0) & (neighbour < ordered_accuracy_rows.shape[0])
-    fix_rows = in_log_order[positions_of_fixes[has_neighbour]]
+    fix_rows = by_key_and_place[positions_of_fixes[has_neighbour]]
     accuracy_rows = ordered_accuracy_rows[neighbour[has_neighbour]]
     has_same_key = fixes.key[fix_rows] == accuracies.key[accuracy_rows]
     fix_rows = fix_rows[has_same_key]
@@ -478,7 +492,7 @@ def _neighbours(
 
 
 def _key(table: Table) -> Integers:
-    """The instance and the time of each row as one number; no instance, -1, becomes 0."""
+    """(n,) the instance and the time of each row as one number; instance -1 (none) becomes 0."""
     instance = whole_numbers(instance_of(table), -1, _INSTANCE_MASK)
     number_from_0 = (instance + 1) & _INSTANCE_MASK
     time_us = microseconds(table["TimeUS"])

@@ -28,7 +28,7 @@ from unbend.ingest.utc_readings import LOWEST_FIX
 from unbend.messages import Ledger
 from unbend.units import Integers, whole_numbers
 
-# Fields that are used as they are logged, without a field map that checks that they are numbers.
+# Fields that are used as logged: no field map checks that they are numbers.
 _NUMBERS = {
     "TimeUS",
     "GMS",
@@ -42,7 +42,7 @@ _NUMBERS = {
 
 _LAST_WEEK = 1 << 13  # GPS weeks, until 2137
 _MS_PER_WEEK = SECONDS_PER_WEEK * 1000
-_NO_COUNT = 1 << 31  # messages: no logger drops as many, a damaged or negative number is as large
+_NO_COUNT = 1 << 31  # no logger drops so many messages: such a count is damaged, or was negative
 _TIMELESS = {"CAM", "MSG", "EV", "ERR", "PARM"}  # rows without a time until 2015
 
 
@@ -59,9 +59,9 @@ def contents_of(
     """The contents of a log, binary or text.
 
     ``damage``: the bytes of no message. ``counts``: messages by type. ``line``: the power-ups.
-    ``tables``: the wanted fields by type; they are removed, so that memory does not hold them
-    twice. ``reread``: reads all fields of some types, when somebody asks for them. ``witnesses``:
-    other clocks that tell the date.
+    ``tables``: the wanted fields by type; they are removed, so that no table is in memory twice.
+    ``reread``: reads all fields of some types when `Log.message` needs them. ``witnesses``: other
+    clocks that know the date.
     """
     timed = timed_tables(tables, ledger)
     # Clock, parameters and drops come first: `channels_of` removes the tables.
@@ -81,7 +81,7 @@ def contents_of(
         messages=counts,
         channels=channels_of(timed, parameters, clock, ledger),
         bad_bytes=damage.bad_bytes,
-        # neither records nor lines carry a sequence number: what the logger itself counted
+        # as counted by the logger: neither records nor lines have a sequence number
         lost_messages=dropped,
         boots=clock.line.boots,
         time_base=time_base,
@@ -98,9 +98,9 @@ def _dropped_messages(
     clock: BootClock,
     ledger: Ledger,
 ) -> int:
-    """How many messages a logger dropped by its own count.
+    """How many messages a logger dropped by its own count, which is reported.
 
-    Each power-up begins it at 0, and so does a logger that starts again within one.
+    The count begins at 0 at each power-up, and each time the logger is started again.
     """
     table = tables.get(name, {})
     if "Dp" not in table or not is_number(table["Dp"]):
@@ -119,7 +119,7 @@ def _dropped_messages(
 
 
 def _sum_of_rises(counts: Integers) -> int:
-    """What a counter has counted that began at 0, and does so again where it falls."""
+    """The total of a counter that begins at 0, and restarts from 0 where its value falls."""
     before = np.zeros_like(counts)
     before[1:] = counts[:-1]
     has_restarted = counts < before
@@ -129,7 +129,7 @@ def _sum_of_rises(counts: Integers) -> int:
 
 
 def _last_values(rows: Table) -> dict[str, float]:
-    """The parameters of an autopilot as last logged."""
+    """The last logged value of each parameter; empty if ``rows`` lack the name or the value."""
     if "Name" not in rows or "Value" not in rows:
         return {}
     names = rows["Name"].tolist()
@@ -138,10 +138,11 @@ def _last_values(rows: Table) -> dict[str, float]:
 
 
 def timed_tables(tables: dict[str, Table], ledger: Ledger) -> dict[str, Table]:
-    """The tables with a time since boot in each row; they are removed from ``tables``.
+    """The tables with a time since boot in each row; all are removed from ``tables``.
 
-    Columns of a wrong kind, rows without a time and tables without times are left out and reported.
-    Old logs have no time in rows of `_TIMELESS` messages: these get the time of the row before.
+    Columns of a wrong kind and tables without times are left out and reported; rows without a time
+    are left out. Old logs have no time in rows of `_TIMELESS` messages: these get the time of the
+    record before.
     """
     timed: dict[str, Table] = {}
     timeless: dict[str, Table] = {}
@@ -167,9 +168,9 @@ def _without_odd_fields(name: str, table: Table, ledger: Ledger) -> Table:
     odd_fields = []
     good_columns = {}
     for field, column in table.items():
-        is_no_number = field in _NUMBERS and not is_number(column)
-        is_no_name = field == "Name" and column.ndim != 1
-        if is_no_number or is_no_name:
+        lacks_numbers = field in _NUMBERS and not is_number(column)
+        lacks_names = field == "Name" and column.ndim != 1
+        if lacks_numbers or lacks_names:
             odd_fields.append(field)
         else:
             good_columns[field] = column
@@ -181,7 +182,7 @@ def _without_odd_fields(name: str, table: Table, ledger: Ledger) -> Table:
 
 
 def _rows_with_time(table: Table) -> Table:
-    """The rows of a table whose time is known; tables of several definitions may lack it."""
+    """The rows of a table with a known time; one of the definitions of a message may lack it."""
     time = table["TimeUS"]
     if time.dtype.kind != "f":
         return table
@@ -193,10 +194,10 @@ def _add_timeless(
     timeless: Mapping[str, Table],
     ledger: Ledger,
 ) -> None:
-    """Add the timeless tables to the timed ones; a row gets the time of the record before it.
+    """Add the timeless tables to ``timed``; a row gets the time of the timed record before it.
 
-    Rows before all timed records get the time of the first one. Exposures (CAM) get that of the
-    last fix.
+    Rows before all timed records get the time of the first one. Exposures (CAM) get the time of
+    the last fix.
     """
     places = np.concatenate([table[PLACE] for table in timed.values()])
     times_us = np.concatenate([microseconds(table["TimeUS"]) for table in timed.values()])
@@ -215,9 +216,8 @@ def _add_timeless(
 def with_time(name: str, columns: Table) -> Table:
     """The table of a message with its time since boot in TimeUS [us], and GPS time in GMS and GWk.
 
-    Tables without TimeUS are of logs until 2015. Their time since boot was in TimeMS [ms], but in
-    rows of receivers in T [ms]: there TimeMS and Week were the GPS time. A table with neither is
-    returned as it is.
+    Logs until 2015 have no TimeUS. Their time since boot is TimeMS [ms]; but in rows of receivers
+    it is T [ms], and TimeMS and Week are the GPS time. A table with neither is returned as it is.
     """
     is_receiver = name in RECEIVERS
     time_ms = columns.get("T" if is_receiver else "TimeMS")
@@ -248,7 +248,7 @@ class _Fixes(NamedTuple):
 
 
 def _fixes_of(receiver: Table) -> _Fixes:
-    """The fixes of a table of GPS rows, none where it lacks the time or the status."""
+    """The fixes in a table of GPS rows; none if the table lacks the GPS time or the status."""
     if not {"GMS", "GWk", "Status"} <= receiver.keys():
         nothing = np.empty(0, np.int64)
         return _Fixes(nothing, nothing)
@@ -261,10 +261,11 @@ def _fixes_of(receiver: Table) -> _Fixes:
 
 
 def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> Table:
-    """Exposures, of which only the GPS time of the last fix is logged, with a time and its sigma.
+    """Give exposures a time (TimeUS) and its sigma by the GPS time of the last fix before each.
 
-    The time is half an interval of fixes after that of the fix. An exposure whose fix is not in the
-    log keeps its time, which is that of the record before it.
+    Old logs have no other time of an exposure. The time is that of the fix plus half the interval
+    between fixes; the sigma is NaN if the interval is unknown. An exposure with a fix that is not
+    in the log keeps its TimeUS, the time of the record before it.
     """
     time_us = exposures["TimeUS"].copy()
     fixes = _fixes_of(receiver)
@@ -275,7 +276,7 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
         last_fix_ms = _gps_ms(exposures["GPSWeek"], exposures["GPSTime"])
         not_before = np.searchsorted(fixes.gps_ms, last_fix_ms)
         row = np.minimum(not_before, fixes.gps_ms.size - 1)
-        is_timed = fixes.gps_ms[row] == last_fix_ms  # the fix itself is in the log
+        is_timed = fixes.gps_ms[row] == last_fix_ms  # True if this fix is in the log
         half_interval_us = round(interval_s / 2.0 * 1e6)
         time_us[is_timed] = fixes.time_us[row[is_timed]] + half_interval_us
     sigma_s = interval_s / np.sqrt(12.0)  # of a uniform distribution over the interval
@@ -295,7 +296,10 @@ def exposures_by_last_fix(exposures: Table, receiver: Table, ledger: Ledger) -> 
 
 
 def _gps_ms(week: NDArray[Any], time_ms: NDArray[Any]) -> Integers:
-    """(n,) GPS time [ms] since 1980 of weeks and of times within them [ms]."""
+    """(n,) GPS time [ms] since 1980 from (n,) weeks and times within the week [ms].
+
+    Both are limited to possible values.
+    """
     week_begin_ms = whole_numbers(week, 0, _LAST_WEEK) * _MS_PER_WEEK
     within_week_ms = whole_numbers(time_ms, -1, _MS_PER_WEEK)
     return np.asarray(week_begin_ms + within_week_ms, np.int64)
@@ -307,9 +311,9 @@ def stamped(
     clock: BootClock,
     instance: str | None,
 ) -> Table:
-    """The table of a message as a user asks for it: UTC and boot before the logged columns.
+    """The table of a message for the user: the columns UTC and boot, then the logged columns.
 
-    ``instance``: of which only the rows are wanted; empty where no row is of it.
+    ``instance``: only the rows of this instance; the table is empty if there are none. None: all.
     """
     places = table[PLACE]
     time_us = with_time(name, table).get("TimeUS")

@@ -1,4 +1,4 @@
-"""What the reader of ArduPilot logs says: codes, and one function for each message."""
+"""Messages of the reader of ArduPilot logs: codes, and one function for each message."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ LOG_BAD_FORMAT = Code(
 
 
 def bad_definition(*, file: str, definition: str) -> Message:
-    """A definition is damaged, and bytes of the log belong to no record."""
+    """A definition is damaged; bytes that belong to no record may be records of it."""
     return loss(
         LOG_BAD_FORMAT,
         "an FMT record is not valid: {definition}",
@@ -26,7 +26,7 @@ def bad_definition(*, file: str, definition: str) -> Message:
 
 
 def unused_bad_definition(*, file: str, definition: str) -> Message:
-    """A definition is damaged, and all bytes are of records that are defined."""
+    """A definition is damaged, but no record is lost: all bytes belong to defined records."""
     return note(
         LOG_BAD_FORMAT,
         "an FMT record is not valid: {definition}; there is no record of it",
@@ -63,7 +63,7 @@ def field_redefined(*, message: str, field: str, count: int, total: int) -> Mess
 
 
 def no_utc_fields(*, message: str, count: int, fields: Sequence[str]) -> Message:
-    """The rows of a receiver lack what UTC is made of."""
+    """The rows of a receiver lack fields from which UTC is computed."""
     return loss(
         LOG_FIELDS,
         "{count} rows give no UTC: the log defines no field {fields}",
@@ -86,7 +86,7 @@ def no_time_field(*, message: str, count: int) -> Message:
 
 
 def no_text_field(*, message: str, field: str) -> Message:
-    """What the autopilot says is not defined as text."""
+    """The log does not define the field of the autopilot's texts, or not as text."""
     return loss(
         LOG_FIELDS,
         "its rows contain no text: the log defines no field {field} for it",
@@ -141,7 +141,10 @@ LOG_INSTANCE = Code(
 def stray_instances(
     *, message: str, count: int, numbers: Sequence[int], most: int, main: int
 ) -> Message:
-    """A few rows are of other instances than ``main``, which has ``most``, a hundred times more."""
+    """A few rows have instance numbers that other rows lack.
+
+    ``main`` is the instance with most rows, ``most`` their number: a hundred times more.
+    """
     return loss(
         LOG_INSTANCE,
         (
@@ -171,7 +174,10 @@ EVENTS_FIX_TIME = Code(
 def exposures_timed_by_fix(
     *, count: int, known: int, unknown: int, half_interval_s: float, sigma_s: float
 ) -> Message:
-    """Rows of CAM name the last fix instead of their own time."""
+    """Rows of CAM have the time of the last fix instead of their own.
+
+    ``known``: how many of these fixes are in the log; ``unknown``: how many are not.
+    """
     return fallback(
         EVENTS_FIX_TIME,
         (

@@ -1,4 +1,4 @@
-"""Definitions of the records of a DataFlash log: what its FMT records say of each type."""
+"""Definitions of the records of a DataFlash log, read from its FMT records."""
 
 import struct
 from collections.abc import Mapping
@@ -24,9 +24,9 @@ FORMAT_LETTERS: Mapping[str, Any] = {
 """Types of fields by the letters of FMT records, as in pymavlink, which takes long to import."""
 
 DIVISORS = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
-"""What the integers of scaled fields are divided by, by letter."""
+"""The divisors of scaled integers, by letter: the logged integer over the divisor is the value."""
 
-_BYTES_OF_FILE = ("u1", (64,))  # the field Z of FILE holds no text
+_BYTES_OF_FILE = ("u1", (64,))  # the field Z of the message FILE is bytes, not text
 
 # Where the payload of an FMT record has its texts; before them are the type and the length.
 NAME_BYTES = slice(2, 6)
@@ -39,8 +39,8 @@ class RecordDefinition:
     """A type of records as its FMT record defines it.
 
     length : bytes of a record with its header.
-    dtype : a whole record; its header has no fields.
-    divisors : what the numbers of scaled fields are divided by, by the name of the field.
+    dtype : a whole record; the header is part of it, but not a field.
+    divisors : the divisors of scaled integers, by the name of the field.
     """
 
     type_id: int
@@ -58,7 +58,7 @@ class RecordDefinition:
     def time_field(self) -> str:
         """The field of the time since boot: TimeUS, until 2015 TimeMS; "" without such a field.
 
-        It counts only as the first field, and with the type that it has there.
+        It is used only if it is the first field, with the usual type (uint64 or uint32).
         """
         fields: Mapping[str, Any] = self.dtype.fields or {}
         for name, kind in (("TimeUS", "<u8"), ("TimeMS", "<u4")):
@@ -96,7 +96,7 @@ def define(payload: bytes) -> RecordDefinition | None:
 
 
 def _are_described(fields: list[str], letters: str) -> bool:
-    """Whether all fields have names of their own and a letter, and each letter means a type."""
+    """Whether all fields have distinct names and one known letter each."""
     if not set(letters) <= set(FORMAT_LETTERS):
         return False
     return len(fields) == len(letters) == len(set(fields)) and "" not in fields

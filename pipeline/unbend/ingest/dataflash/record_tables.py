@@ -18,7 +18,10 @@ INSTANCE_FIELDS = ("I", "Instance", "Id", "C")
 
 
 class RecordRows(NamedTuple):
-    """Some records of the definition with a number: a structured array, and places in the file."""
+    """Some records of one definition: a structured array, and their places in the file.
+
+    ``number``: of the definition, as in `RecordWalker`.
+    """
 
     number: int
     records: NDArray[Any]
@@ -26,9 +29,9 @@ class RecordRows(NamedTuple):
 
 
 def read_records(walker: RecordWalker, is_wanted: Mask) -> Iterator[RecordRows]:
-    """The records of the wanted definitions: block by block of the file, in each by definition.
+    """Yield the records of the wanted definitions, by block of the file and in it by definition.
 
-    ``is_wanted`` (n,): whether to read the definition with that number.
+    ``is_wanted`` (n,): by the number of a definition, whether to read its records.
     """
     for block in walker.kept_blocks:
         rows = np.flatnonzero(is_wanted[block.numbers])
@@ -56,13 +59,13 @@ def decode(
     walker: RecordWalker,
     wanted: Mapping[str, Callable[[str], bool]],
 ) -> dict[str, Table]:
-    """The tables of some message types by name, in one pass over the file, with `PLACE`.
+    """The tables of the wanted message types by name, with `PLACE`, in one pass over the file.
 
     ``wanted``: for each type a test whether a field is wanted. Numbers keep their type, but scaled
-    ones (c, C, e, E, L) become float64, divided as pymavlink does; characters become text. All
-    definitions of one name give one table: a field that a definition lacks is NaN or empty in its
-    rows, and a field that is text in one and a number in another is a column of objects, which
-    `without_objects` removes.
+    integers (c, C, e, E, L) are divided and become float64, as in pymavlink; characters become
+    text. All definitions of one name give one table: a field that a definition lacks is NaN or
+    empty in its rows. A field that is text in one definition and a number in another is a column of
+    objects, which `without_objects` removes.
     """
     tables: dict[int, Table] = {}
     for number, count in enumerate(walker.counts.tolist()):
@@ -89,7 +92,7 @@ def _empty_table(
     is_wanted: Callable[[str], bool],
     count: int,
 ) -> Table:
-    """A table with memory for the wanted fields of ``count`` records."""
+    """A table for the wanted fields of ``count`` records; its values are not set yet."""
     table = {PLACE: allocate(count, np.int64)}
     for name in form.fields:
         if not is_wanted(name):
@@ -102,9 +105,9 @@ def _empty_table(
 
 
 def _fill(tables: Mapping[int, Table], walker: RecordWalker) -> None:
-    """Write the records into the tables of their definitions, in the order of the file.
+    """Write the records into the tables (by number of definition), in the order of the file.
 
-    Numbers of scaled fields are divided here.
+    Scaled integers are divided here.
     """
     is_wanted = np.zeros(len(walker.definitions), np.bool_)
     is_wanted[list(tables)] = True
@@ -139,7 +142,7 @@ def texts(raw: NDArray[np.bytes_]) -> NDArray[np.str_]:
 
 
 def _text(value: bytes) -> str:
-    """One character field as text."""
+    """One character field as text, as by `texts`."""
     try:
         word = value.decode("utf-8")
     except UnicodeDecodeError:
@@ -150,8 +153,8 @@ def _text(value: bytes) -> str:
 def merge_tables(several: list[Table]) -> Table:
     """The tables of all definitions of a message as one table.
 
-    A definition may lack the field of instances. Its table then gets that field, with the instance
-    -1 in all rows: else the field would become one of floats, with NaN in these rows.
+    A table without the field of instances, which others have, gets it with -1 in all rows: NaN in
+    these rows would make the joined field floats.
     """
     if len(several) == 1:
         return several[0]
@@ -166,9 +169,10 @@ def merge_tables(several: list[Table]) -> Table:
 
 
 def without_objects(table: Table, name: str, ledger: Ledger) -> Table:
-    """The table with texts or numbers, as the last value is, in place of columns of objects.
+    """The table with columns of objects replaced by columns of texts or of numbers.
 
-    ``name`` is that of the message, for the loss of values of the other kind.
+    The last value of a column decides which; values of the other kind are dropped and reported with
+    the ``name`` of the message.
     """
     columns = dict(table)
     for field, column in table.items():
@@ -199,7 +203,10 @@ class _ValuesOfOneKind(NamedTuple):
 
 
 def _values_of_one_kind(objects: NDArray[Any]) -> _ValuesOfOneKind:
-    """The texts or the numbers of a column of objects, as its last value is; None is no value."""
+    """The texts of a column of objects if its last value is a text, else its numbers.
+
+    None in a row means that it has no value.
+    """
     values = objects.tolist()
     is_value = np.array([value is not None for value in values])
     is_text = np.array([isinstance(value, str) for value in values])

@@ -1,6 +1,7 @@
 """ArduPilot logs as text (.log): FMT lines and rows -> the same channels as a binary log.
 
-Mission Planner and mavlogdump write a message a line, scaled. A place is the first byte of a line.
+Mission Planner and mavlogdump write one message a line, with scaled values. A place is the first
+byte of a line.
 """
 
 import re
@@ -27,14 +28,14 @@ from unbend.ingest.utc_evidence import Witness
 from unbend.messages import Ledger
 
 LONGEST = 4096  # bytes of a line; real ones have up to 250
-ROWS = 4096  # of one type that are made columns at once: as text they need 20 times the memory
+ROWS = 4096  # rows of one type that become columns at once: as text they need 20 times the memory
 _FIRST = re.compile(rb"FMT, ?\d+, ?\d+, ?\w+")
 _BANNER = re.compile(rb"[\t -~]*\r?\n")  # a line of printable characters
-_DECIMAL = "cCeELfdg"  # scaled and floating-point letters
-_TEXT = "nNZaM"  # arrays and flight modes are words in these logs
+_DECIMAL = "cCeELfdg"  # letters of scaled and of floating-point numbers
+_TEXT = "nNZaM"  # letters of texts; arrays (a) and flight modes (M) are written as text
 _UNSIGNED = "BHIQ"  # letters of whole numbers that are never negative
-_LONGEST_WORD = 128  # letters of a text: binary logs have 64 bytes for one
-_LONGEST_TEXT = {"a": 512}  # by letter: 32 whole numbers as text
+_LONGEST_WORD = 128  # characters of a text: binary logs have at most 64 bytes
+_LONGEST_TEXT = {"a": 512}  # by letter, instead of `_LONGEST_WORD`: 32 whole numbers as text
 _TIME_UNITS_US = {("TimeUS", "Q"): 1, ("TimeMS", "I"): 1000}  # by name and letter of a first field
 
 
@@ -43,9 +44,9 @@ def read_log(
     ledger: Ledger,
     witnesses: Sequence[Witness] = (),
 ) -> Contents:
-    """The contents of a log as text; ``witnesses`` are other clocks that tell its date."""
+    """The contents of a log as text; ``witnesses`` are other clocks that know its date."""
     reader = _LineReader()
-    tables = reader.read(path, set(wanted_fields()))  # then the reader has all counts and times
+    tables = reader.read(path, set(wanted_fields()))  # now the reader knows all counts and times
     reader.report_bytes(ledger, path.name, "line")
 
     def reread(names: set[str]) -> dict[str, Table]:
@@ -78,7 +79,7 @@ DATAFLASH_TEXT = LogFormat(
 
 
 class _Line(NamedTuple):
-    """The first byte of a line in the file, and its values as text."""
+    """The place of a line in the file, and its values as text."""
 
     place: int
     values: list[str]
@@ -93,17 +94,17 @@ class _LineFormat:
 
     @property
     def time_unit_us(self) -> int:
-        """The unit [us] of the time with which lines of this format begin; 0 without one."""
+        """The unit [us] of the time with which lines of this format begin; 0 without a time."""
         first_field = (self.fields[0], self.letters[0])
         return _TIME_UNITS_US.get(first_field, 0)
 
     def accepts(self, values: list[str]) -> bool:
-        """Whether there is a value for each field, and a number for each letter of numbers."""
+        """Whether there is a value for each field, and each value is possible for its letter."""
         if len(values) != len(self.fields):
             return False
         try:
             return all(map(_fits, self.letters, values))
-        except ValueError:  # of float and int: no number
+        except ValueError:  # not a number
             return False
 
     def table(self, lines: list[_Line]) -> Table:
@@ -118,9 +119,10 @@ class _LineFormat:
 
 
 def _fits(letter: str, value: str) -> bool:
-    """Whether a field of a letter may hold a value: at most what binary logs hold.
+    """Whether the text of a value is possible for a field of a letter.
 
-    Raises ValueError where a number should stand and does not.
+    Texts and integers may be as long as in binary logs. Raises ValueError if the letter is of
+    numbers and the value is not a number.
     """
     if letter in _DECIMAL:
         float(value)
@@ -132,7 +134,7 @@ def _fits(letter: str, value: str) -> bool:
 
 
 def _column(letter: str, values: Sequence[str]) -> NDArray[Any]:
-    """The values of a field as texts, float64 or integers, as its letter says."""
+    """The values of a field as texts, float64 or integers; its letter decides."""
     if letter in _TEXT:
         return np.array(values, np.str_)
     if letter in _DECIMAL:
@@ -149,15 +151,15 @@ _FMT = _LineFormat(
 
 
 class _TableBuilder:
-    """Lines of the wanted messages, which become columns some thousand at a time."""
+    """Collects the lines of messages, and makes tables of `ROWS` lines at a time."""
 
     def __init__(self) -> None:
-        # The lines of a message and a format that are not columns yet.
+        # By message and format: the lines that are not in a table yet.
         self._pending: dict[tuple[str, _LineFormat], list[_Line]] = {}
         self._tables: dict[str, list[Table]] = {}
 
     def add(self, name: str, form: _LineFormat, line: _Line) -> None:
-        """Append a line of a message."""
+        """Append a line of the message ``name``."""
         pending = self._pending.setdefault((name, form), [])
         pending.append(line)
         if len(pending) == ROWS:
@@ -187,15 +189,21 @@ class _TableBuilder:
 
 @dataclass
 class _LineReader(DamagedBytes):
-    """One pass over a file: the current definitions, counts of messages, and damage."""
+    """One pass over a file: the current definitions, the counts of messages, and the damage.
+
+    formats : the definition in force by message.
+    definitions_of : all definitions by message.
+    counts : the number of lines by message.
+    times : place and time since boot [us] of each line that begins with a time.
+    """
 
     formats: dict[str, _LineFormat] = field(default_factory=lambda: {"FMT": _FMT})
     definitions_of: dict[str, set[_LineFormat]] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
-    times: list[tuple[int, int]] = field(default_factory=list)  # places, times since boot [us]
+    times: list[tuple[int, int]] = field(default_factory=list)
 
     def read(self, path: Path, wanted: set[str]) -> dict[str, Table]:
-        """The wanted messages as tables; everything is counted."""
+        """Read the file, and count lines and damage; returns the wanted messages as tables."""
         builder = _TableBuilder()
         end = 0
         with path.open("rb") as stream:
@@ -203,7 +211,7 @@ class _LineReader(DamagedBytes):
                 begin = end
                 end = begin + len(raw)
                 is_cut_off = not raw.endswith(b"\n") and len(raw) < LONGEST
-                if is_cut_off:  # maybe within a number
+                if is_cut_off:  # not used: the cut may be within a number
                     self.cut_bytes = len(raw)
                     break
                 name, values = self._parse(raw)
@@ -222,7 +230,7 @@ class _LineReader(DamagedBytes):
         return not self.counts and _BANNER.fullmatch(raw) is not None
 
     def _count(self, name: str, form: _LineFormat, line: _Line) -> None:
-        """Count a line, and keep its time where it begins with one."""
+        """Count a line, and keep its time if it begins with one."""
         self.counts[name] += 1
         unit_us = form.time_unit_us
         if unit_us:
@@ -230,13 +238,16 @@ class _LineReader(DamagedBytes):
             self.times.append((line.place, time_us))
 
     def _parse(self, raw: bytes) -> tuple[str, list[str]]:
-        """The message of a line and its values; no name when the line is not valid."""
+        """The name of the message of a line, and its values; "" and [] if the line is not valid.
+
+        A valid FMT line puts its definition in force.
+        """
         text = raw.decode("utf-8", "replace").rstrip("\r\n")
         name, _, values_text = text.partition(",")
         form = self.formats.get(name)
         if form is None:
             return "", []
-        commas = len(form.fields) - 1  # further ones are of the last value
+        commas = len(form.fields) - 1  # further commas belong to the last value
         values = [value.strip() for value in values_text.split(",", commas)]
         if not form.accepts(values):
             return "", []
@@ -245,13 +256,13 @@ class _LineReader(DamagedBytes):
         return name, values
 
     def _define(self, values: list[str]) -> bool:
-        """Take the definition of an FMT line; False where it is not valid."""
+        """Put the definition of an FMT line in force; False if it is not valid."""
         definition = dict(zip(_FMT.fields, values, strict=True))
         name = definition["Name"]
         letters = definition["Format"]
         columns = definition["Columns"]
         fields = tuple(part.strip() for part in columns.split(","))
-        if columns == "Type,Length,Name,Format":  # old logs forget the last one
+        if columns == "Type,Length,Name,Format":  # old logs omit the last field
             fields += ("Columns",)
         is_distinct = len(set(fields)) == len(fields)
         if not name.isidentifier() or not is_distinct or "" in fields:
@@ -259,7 +270,7 @@ class _LineReader(DamagedBytes):
         if len(fields) != len(letters) or not letters:
             return False
         if name == "FMT" and len(fields) != len(_FMT.fields):
-            return False  # this method could not read further FMT lines
+            return False  # further FMT lines could not be read
         form = _LineFormat(letters, fields)
         definitions = self.definitions_of.setdefault(name, set())
         definitions.add(form)
@@ -276,7 +287,7 @@ class _LineReader(DamagedBytes):
         possible_us = []
         for place, time_us in self.times:
             places.append(place)
-            # Python's integers are of any size; damage makes some that no array holds
+            # damage makes integers that are too large for an array
             possible_us.append(min(max(time_us, 0), LAST_US))
         time_ns = nanoseconds(np.array(possible_us, np.int64))
         yield np.array(places, np.int64), time_ns

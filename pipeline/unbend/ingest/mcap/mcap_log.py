@@ -11,7 +11,7 @@ import numpy as np
 from unbend.flight.channels import Channel
 from unbend.flight.clock import BOOT_STEP_NS
 from unbend.ingest.boot_clock import RECORDER_APART_S, BootClock, fit_clock
-from unbend.ingest.channel_builder import channel_of, feedback_apart
+from unbend.ingest.channel_builder import channel_of, split_by_feedback
 from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.mcap import messages, topics
 from unbend.ingest.mcap.mcap_reader import McapReader
@@ -50,7 +50,7 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         samples = series.pop(0)
         rows, unstamped_rows = samples.rows(clock, ledger)
         unstamped += unstamped_rows
-        for part in feedback_apart(rows, ledger):
+        for part in split_by_feedback(rows, ledger):
             channel = channel_of(part, samples.spec, ledger)
             if channel is not None:
                 channels.append(channel)

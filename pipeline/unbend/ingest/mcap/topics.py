@@ -186,7 +186,7 @@ class Topic:
         if self.series is None:
             return []
         names = {key.name for key in self.series}
-        if len(names) == 1 and self.spec.one_id_names_nothing:
+        if len(names) == 1 and self.spec.omits_only_id:
             for samples in self.series.values():
                 samples.name = self.name
                 samples.source = Source(self.schema, None)

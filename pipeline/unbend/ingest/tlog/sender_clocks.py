@@ -356,7 +356,7 @@ def fit_sender(
     boot_ns = _without_wraps(readings["boot_ns"], stamped_ns, sender, ledger)
     system_time = UtcReadings(
         source="SYSTEM_TIME messages",
-        one="SYSTEM_TIME message",
+        singular="SYSTEM_TIME message",
         places=places,
         boot_ns=boot_ns,
         utc_ns=readings["utc_ns"],
@@ -366,7 +366,7 @@ def fit_sender(
         system_time = replace(system_time, sigma_s=UNCHECKED_SIGMA_S, why=UNCHECKED_WHY)
     received = UtcReadings(
         source="stamps",
-        one="stamp",
+        singular="stamp",
         places=places,
         boot_ns=boot_ns,
         utc_ns=lead_clock.utc_of_host(places, stamped_ns),

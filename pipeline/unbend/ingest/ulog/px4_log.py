@@ -19,7 +19,7 @@ from unbend.ingest.channel_builder import (
     DecodedRows,
     captured_rows,
     channel_of,
-    feedback_apart,
+    split_by_feedback,
     without_stray,
 )
 from unbend.ingest.field_maps import CAPTURE_UTC_FIELD, PX4_TOPICS, UTC_FIELD, MessageMap, extract
@@ -173,7 +173,7 @@ def _channels_of_topic(
     decoded = without_stray(decoded, stray_times(boot_ns), ledger)
     if spec.event:
         decoded = captured_rows(decoded, ledger)
-    parts = [channel_of(part, spec, ledger) for part in feedback_apart(decoded, ledger)]
+    parts = [channel_of(part, spec, ledger) for part in split_by_feedback(decoded, ledger)]
     return [channel for channel in parts if channel is not None]
 
 
@@ -320,7 +320,7 @@ def _utc_of_boot_time(log: ULogMessages) -> list[UtcReadings]:
     return [
         UtcReadings(
             source=f"values of {BOOT_UTC}",
-            one=f"value of {BOOT_UTC}",
+            singular=f"value of {BOOT_UTC}",
             places=one_row,
             boot_ns=one_row,
             utc_ns=np.array([round(utc_us) * 1000], np.int64),
