@@ -190,6 +190,15 @@ def test_pauses_of_a_flight_that_is_triggered_by_distance_are_its_turns(seed):
     assert_assigned(assignment, range(5, events.size))
 
 
+def test_counted_names_are_not_those_of_a_16_bit_counter():
+    names = np.arange(1, 65_540)
+    events = CameraEvents(2.0 * names)
+
+    rows = numbered(names, "counted").events_of_names(events)
+
+    assert rows.tolist() == list(range(names.size))
+
+
 def test_equal_counts_pass_by_counting_unless_times_contradict():
     """Two test shots without images, and the last two images lost: the counts are equal again."""
     names = np.arange(1, 61)

@@ -32,6 +32,7 @@ heights = st.floats(-430.0, 30_000.0)
 def test_exactly_at_the_nadir_and_at_the_zenith_nothing_bends():
     assert refraction_angle(AIR, 3000.0, 0.0, 0.0) == 0.0
     assert abs(refraction_angle(AIR, 1000.0, 3000.0, pi)) < 1e-18
+    assert abs(refraction_angle(AIR, 1000.0, 3000.0, np.float32(pi))) < 1e-18  # above pi
     r_c, status = bend(
         TABLE,
         1000.0,

@@ -194,13 +194,15 @@ class ImageEvidence:
         if self.number is None or not self.names_state_events(events):
             return stated_rows
         number_of_row = np.arange(events.time_s.size) + 1
+        number_of_image = self.number
         if self.numbering == "index" and events.index is not None:
             number_of_row = events.index % COUNT_ROUND
+            number_of_image = self.number % COUNT_ROUND
         row_of_number = {}
         for row, number in enumerate(number_of_row.tolist()):
             row_of_number[number] = row
-        for image, number in enumerate(self.number.tolist()):
-            stated_rows[image] = row_of_number.get(number % COUNT_ROUND, -1)
+        for image, number in enumerate(number_of_image.tolist()):
+            stated_rows[image] = row_of_number.get(number, -1)
         return stated_rows
 
     def offsets_of_names(self, events: CameraEvents, axis: Axis) -> Array:

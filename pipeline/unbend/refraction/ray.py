@@ -263,8 +263,8 @@ def angle_and_status(
     reason.
     """
     zeta = np.asarray(zeta_c, dtype=np.float64)
-    is_angle = (zeta >= 0.0) & (zeta <= math.pi)
-    zeta = np.where(is_angle, zeta, np.nan)
+    is_angle = (zeta >= 0.0) & (zeta <= LARGEST_ANGLE_RAD)
+    zeta = np.where(is_angle, np.minimum(zeta, math.pi), np.nan)
     r_c, statuses = bend(
         rays_by(profile, method),
         h_c,
