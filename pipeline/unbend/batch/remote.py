@@ -113,7 +113,7 @@ def fetch(remote: RemoteInput, *, anew: bool = False) -> Path:
         if not copy.exists():
             _make_copy(remote, folder)
             forget_oldest(str(folder.parent), _MOST_BYTES)
-        os.utime(folder)  # sets the time of the last use, by which `forget_oldest` chooses
+        os.utime(folder)  # sets the time of the last use, which `forget_oldest` compares
     return copy
 
 
