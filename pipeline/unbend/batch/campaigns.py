@@ -330,7 +330,7 @@ def row_of_manifest(name: str, manifest: Manifest | None) -> Row:
         return row_without(name, None, "", "it has no results yet")
     try:
         return row_of(manifest)
-    except UnbendError as error:  # of a version whose results had other fields
+    except UnbendError as error:  # the results of an older version had other fields
         return row_without(name, None, error.code, error.what)
 
 

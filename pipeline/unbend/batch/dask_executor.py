@@ -81,10 +81,7 @@ class _Submitted(NamedTuple):
 
 
 class DaskExecutor:
-    """Executor that runs missions on the workers of a Dask scheduler.
-
-    ``scheduler`` is its address, or the path of the JSON file that it writes.
-    """
+    """Executor that runs missions on a Dask scheduler's workers, by its address or its JSON file."""
 
     def __init__(self, scheduler: str) -> None:
         self._scheduler = scheduler
@@ -198,10 +195,7 @@ class _Handout:
         future.add_done_callback(self.ended_or_stop.put)
 
     def _put_end(self, key: str) -> None:
-        """Put how a mission ended into ``ends``; submit it again if its worker died.
-
-        After `_SUBMISSIONS` times it ends as `Lost`.
-        """
+        """Put how a mission ended into ``ends``; if its worker died, submit it again a few times."""
         mission, future, times = self.waiting.pop(key)
         try:
             self.ends.put((mission, future.result()))
@@ -232,10 +226,7 @@ class _LostTask(NamedTuple):
 
 
 def lost_tasks(client: Client, keys: Iterable[str]) -> list[_LostTask]:
-    """The tasks that cannot end: their worker does not answer, or no worker is left for them.
-
-    ``keys`` are those of all tasks that have not ended.
-    """
+    """The tasks among ``keys`` with a worker that does not answer, or without any worker left."""
     state = state_of_cluster(client)
     lost = []
     for key in keys:
@@ -250,10 +241,7 @@ def lost_tasks(client: Client, keys: Iterable[str]) -> list[_LostTask]:
 
 
 def scheduler_address(scheduler: str) -> str:
-    """The address of a scheduler, given as it is or by the JSON file of the scheduler.
-
-    Refuses (SCHEDULER-FILE) a text that is neither.
-    """
+    """The address of a scheduler, itself or from its JSON file; refuses others (SCHEDULER-FILE)."""
     if "://" in scheduler:
         return scheduler
     if Path(scheduler).exists() and not Path(scheduler).is_file():  # reading might never end
@@ -347,9 +335,8 @@ def check_workers(
         versions_there, missing_files = report
         refuse_other_versions(worker, versions, versions_there)
         if missing_files:
-            raise messages.files_not_seen(
-                worker=worker, first=missing_files[0], count=len(missing_files)
-            )
+            first = missing_files[0]
+            raise messages.files_not_seen(worker=worker, first=first, count=len(missing_files))
 
 
 def reports_of_workers(
@@ -498,10 +485,7 @@ def allow_processes() -> None:
 
 
 async def run_beside(command: str, task: bytes, dask_worker: Any) -> TaskEnd:
-    """On a worker: run a pickled task at once, even if all threads of the worker run missions.
-
-    Dask passes the worker as ``dask_worker``.
-    """
+    """On a worker, which Dask passes: run a pickled task at once, even if all threads are busy."""
     run = partial(run_apart, command, task, int(dask_worker.state.nthreads))
     return await asyncio.get_running_loop().run_in_executor(None, run)
 

@@ -29,7 +29,7 @@ def run_many(
 ) -> Generator[tuple[MissionRef, MissionEnd]]:
     """Run missions; yields how each ended, as soon as it did.
 
-    ``run_mission`` takes a mission as its first argument. A mission whose process dies is run
+    ``run_mission`` takes a mission as its first argument. If its process dies, a mission is run
     again, alone. If its process dies again, the mission is refused (WORKER-LOST) with the command
     that repeats it.
     """
@@ -54,7 +54,10 @@ def run_many(
 
 
 def lost_twice(mission: MissionRef, first: Lost, second: Lost) -> UnbendError:
-    """The refusal (WORKER-LOST) of a mission whose process died again when it ran alone."""
+    """The refusal (WORKER-LOST) of a mission that killed its process again when it ran alone.
+
+    ``first`` and ``second`` are its two ends.
+    """
     return messages.worker_lost(
         path=str(mission.path),
         first=first.how,

@@ -69,7 +69,7 @@ class Bug:
 
 @dataclass(frozen=True)
 class Lost:
-    """A mission whose process died; ``how`` states in words how it died."""
+    """The end of a mission by the death of its process; ``how`` states in words how it died."""
 
     how: str
 

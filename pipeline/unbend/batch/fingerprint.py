@@ -57,7 +57,7 @@ NOT_IN_FINGERPRINT = ("output.batch_rows",)
 """Keys of a mission file that no number depends on."""
 
 _WITHOUT_PROJ = re.compile(r"log|observations|events|images|sounding \d+|weather model")
-"""Roles of inputs whose coordinates PROJ never transforms."""
+"""Roles of inputs that have no coordinates for PROJ to transform."""
 
 _HASH_DIGITS = 16  # of the grids' hash: enough to tell two installations apart
 

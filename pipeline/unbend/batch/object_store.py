@@ -68,7 +68,7 @@ _SILENT = re.compile(r"kind: Timeout|\bTimedOut\b")
 _HOST = re.compile(r"https?://(?:[^/\s@]*@)?(\[[0-9a-fA-F:]+\](?::\d+)?|[\w.-]+(?::\d+)?)")
 """The host in a URL of HTTP; of such a URL nothing else may be printed."""
 
-# Words of Azure's error beside its code, which is that of wrong credentials.
+# Words in Azure's error for a wrong clock, which has the code of wrong credentials.
 _OLD_DATE = re.compile("[Rr]equest date header too old")
 
 

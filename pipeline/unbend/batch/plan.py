@@ -275,7 +275,7 @@ def camera_names_by_block(mission: Mission) -> dict[str, str]:
 
 
 def refuse_other_mission(plan: Plan, manifest: Manifest | None) -> None:
-    """Refuse (OUTPUT-OTHER) a folder whose manifest is that of a mission of another name."""
+    """Refuse (OUTPUT-OTHER) an output with the manifest of a mission of another name."""
     name = plan.mission.mission.name
     if manifest is not None and manifest.run.mission != name:
         raise messages.output_of_other_mission(

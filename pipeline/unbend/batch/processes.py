@@ -218,7 +218,7 @@ def way_of_death(code: int | None, *, was_suspended: bool = False) -> str:
 
 
 def _name_of_signal(number: int) -> str:
-    """The name of a signal; "signal 40" for a real-time signal, most of which have no name."""
+    """The name of a signal, or "signal 40" for a number without a name."""
     try:
         return signal.Signals(number).name
     except ValueError:

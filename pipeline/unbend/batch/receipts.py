@@ -78,7 +78,7 @@ class _PlainUnpickler(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name} is not a plain value")
 
 
-def is_plain(candidate: Any) -> bool:
+def is_plain(candidate: object) -> bool:
     """Whether an object is a named tuple, an enumeration or a dataclass."""
     if not isinstance(candidate, type):
         return False

@@ -246,8 +246,8 @@ def deflection_text(facts: Facts) -> str:
     deflection_rad = float(np.median(np.hypot(north, east)))
     shift_m = deflection_rad * float(np.median(above_ground))
     return (
-        f"deflected by {deflection_rad / ARCSEC:.1f} arcsec (EGM96), {shift_m:.2f} m on the "
-        "ground: not removed unless the trajectory did"
+        f"deflected by {deflection_rad / ARCSEC:.1f} arcsec (EGM96), "
+        f"{shift_m:.2f} m on the ground: not removed unless the trajectory did"
     )
 
 

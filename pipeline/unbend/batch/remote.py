@@ -113,7 +113,7 @@ def fetch(remote: RemoteInput, *, anew: bool = False) -> Path:
         if not copy.exists():
             _make_copy(remote, folder)
             remove_oldest(str(folder.parent), _MOST_BYTES)
-        os.utime(folder)  # sets the time of the last use, by which `remove_oldest` chooses
+        os.utime(folder)  # sets the time of the last use, which `remove_oldest` compares
     return copy
 
 

@@ -58,7 +58,7 @@ GROUPS = {
 """The commands as the help lists them: the four steps first."""
 
 _TAKE_URLS = {"run", "export", "report", "verify"}
-"""Commands whose arguments may be URLs."""
+"""Commands that take URLs as arguments."""
 
 
 class _Group(TyperGroup):

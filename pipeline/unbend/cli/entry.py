@@ -35,8 +35,8 @@ def _install_signal_handlers() -> None:
 
     Ctrl-C stays ignored if the parent process ignores it, as ``nohup`` does.
     """
-    # `end_process` raises SystemExit, not KeyboardInterrupt: if that passes through exec(), as in
-    # the import of a dataclass, Python ends the process by the signal, without an exit code.
+    # `end_process` raises SystemExit. If KeyboardInterrupt passes through exec(), as in the import
+    # of a dataclass, Python ends the process by the signal, without an exit code.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: end_process(EXIT_INTERRUPTED))
     signal.signal(signal.SIGTERM, lambda *_: end_process(EXIT_TERMINATED))

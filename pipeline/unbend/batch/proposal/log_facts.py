@@ -73,8 +73,9 @@ def facts_of_log(path: Path) -> LogFacts:
     decided = [f"{role} {roles[role].name}" for role in roles if role not in open_roles]
     remarks.append(f"detected automatically: {', '.join(decided)}")
     remarks.append(enclosed_remark(enclosed, compartment))
-    event_channels = [channel for channel in log.channels if channel.fits_role("events")]
-    events = channels_of_lowest_rank(event_channels)
+    events = channels_of_lowest_rank(
+        [channel for channel in log.channels if channel.fits_role("events")]
+    )
     return LogFacts(
         events=events,
         remarks=tuple(filter(None, remarks)),
@@ -254,7 +255,7 @@ def questions_of_role(role: str, channels: tuple[Channel, ...], compartment: str
 def range_text(channel: Channel, role: str) -> str:
     """The range of a sensor's finite readings in a usual unit, as " (10 to 25 °C)".
 
-    "" for a channel without finite readings, or whose column has no usual unit.
+    "" for a channel without finite readings, or with a column without a usual unit.
     """
     column = ROLE_COLUMNS[role][0]
     unit, unit_size, zero = words_of_proposals()["units"].get(column, ("", 1.0, 0.0))

@@ -129,7 +129,7 @@ def numbering_of(series: NameSeries, event_numbers: EventNumbers) -> Numbering:
 
 
 def channel_of_camera(number: int, count: int, event_numbers: EventNumbers) -> Proposed:
-    """The channel of a camera whose images have no known names.
+    """The channel of a camera, if the names of its images are unknown.
 
     ``number`` is the index of the camera, from 0. If there are as many channels as cameras
     (``count``), the channel is guessed by their order; otherwise the value is left open.
