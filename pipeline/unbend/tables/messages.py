@@ -95,7 +95,7 @@ def numbers_beyond(
     first: float,
     largest: float,
 ) -> InputError:
-    """``count`` numbers of a column have a magnitude above ``largest``, the ``first`` in ``line``."""
+    """``count`` numbers of a column are beyond ``largest``, the ``first`` of them in ``line``."""
     return InputError(
         code,
         "{count} numbers of column {column} are beyond {largest:g}, the first {first:g}",
@@ -192,7 +192,7 @@ def model_grid(*, where: Path | str, grid: str) -> InputError:
 def model_levels_incomplete(
     *, where: Path | str, first: float, last: float, total: int
 ) -> InputError:
-    """Model levels of ERA5 have a gap, or the lowest is missing: ``first`` to ``last`` in the file."""
+    """Model levels of ERA5, ``first`` to ``last``, have a gap or lack the lowest, 137."""
     return InputError(
         MODEL_LEVELS,
         (
@@ -405,7 +405,7 @@ def model_grid_too_large(*, where: Path | str, number: int, points: int, most: i
 
 
 def model_section_too_long(*, where: Path | str, number: int, offset: int) -> InputError:
-    """A section of a GRIB message, at byte ``offset`` of the file, does not fit into the message."""
+    """A section of a GRIB message does not fit into it; ``offset`` of the section in the file."""
     return InputError(
         MODEL_UNREADABLE,
         (

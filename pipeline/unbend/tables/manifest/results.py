@@ -338,8 +338,8 @@ class CameraAirRecord:
     """The wavelength of a camera, and the effects of the air in front of and in its lens.
 
     ``before_lens`` is outside, window or opening; ``kelvin_share`` is the deflection by air there
-    that is 1 K warmer, divided by R, both at 45 degrees. ``lens_ppm`` is the change of the principal distance
-    by the air in the lens; ``lens_sigma_ppm`` is known only for a typical lens.
+    that is 1 K warmer, divided by R, both at 45 degrees. ``lens_ppm`` is the change of the
+    principal distance by the air in the lens; ``lens_sigma_ppm`` is known only for a typical lens.
     ``lens_height_m`` and ``lens_edge_px`` are the effects of this change on heights, and at the
     corners of the image. ``lens_removed``: whether the corrections remove it.
     """
