@@ -1,6 +1,7 @@
-"""Consoles for texts: as wide as a terminal, or lines as they are for a file or the next program.
+"""Consoles for texts, and tables and paragraphs on them.
 
-What is not a terminal gets no colours, no broken lines and no blanks at the ends of lines.
+Text is wrapped to the width of a terminal. A file or another program gets no colours, no wrapped
+lines and no blanks at the ends of lines.
 """
 
 import os
@@ -20,21 +21,21 @@ from rich.text import Text
 
 from unbend.report.words import HANG, NARROWEST, visible
 
-INDENT = 2  # columns by which what belongs to a mission stands to the right
+INDENT = 2  # columns before texts that belong to a mission
 
-_WIDE = 100_000  # columns of what is not a terminal: no line is broken
-_LARGE_SIGMA = 9.995  # from here on a sigma has one decimal
+_WIDE = 100_000  # columns of an output that is not a terminal: no line is wrapped
+_LARGE_SIGMA = 9.995  # from here on a sigma has one decimal: it would be written as 10.00
 _BLANKS_AT_END = re.compile(r"[ \t]+(?=\n)")
 
 
-class _Trimmed:
-    """A stream that removes the blanks at the ends of lines, and else is the stream it wraps."""
+class _TrimmedStream:
+    """A stream without blanks at the ends of lines; all else is passed to the wrapped stream."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Write whole lines; rich gives them."""
+        """Write a text of whole lines, as rich passes them."""
         return self._stream.write(_BLANKS_AT_END.sub("", text))
 
     def __getattr__(self, name: str) -> Any:
@@ -42,29 +43,32 @@ class _Trimmed:
 
 
 class ReportConsole(Console):
-    """Console that writes control characters out, and raises BrokenPipeError instead of exiting."""
+    """Console that escapes control characters, and raises BrokenPipeError instead of exiting."""
 
     def on_broken_pipe(self) -> NoReturn:
         """Called by rich when the reader of the output has gone."""
         raise BrokenPipeError
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """As rich does, with all control characters but line breaks written out."""
+        """Render markup as rich does, with control characters escaped except line breaks."""
         return super().render_str(visible(text, keep="\n"), **options)
 
 
 def report_console(*, error: bool = False, quiet: bool = False) -> Console:
-    """Console for standard output, or for standard error; ``COLUMNS`` sets the width of both."""
+    """A console for standard output, or for standard error if ``error``.
+
+    The environment variable ``COLUMNS`` sets its width. A ``quiet`` console prints nothing.
+    """
     stream = sys.stderr if error else sys.stdout
     if stream.isatty():
         return ReportConsole(stderr=error, highlight=False, quiet=quiet)
-    file: Any = _Trimmed(stream)
+    file: Any = _TrimmedStream(stream)
     width = None if os.environ.get("COLUMNS", "").isdigit() else _WIDE
     return ReportConsole(file=file, width=width, highlight=False, quiet=quiet)
 
 
 def shown(text: str) -> str:
-    r"""A text of a file or a name for a console: no markup, no control characters.
+    r"""Escape a text from a file, or a name, for a console: no markup, no control characters.
 
     >>> print(shown("[red]a\x1b[1m\nb"))
     \[red]a\x1b[1m\nb
@@ -73,12 +77,12 @@ def shown(text: str) -> str:
 
 
 def print_indented(console: Console, content: str | Table) -> None:
-    """Print markup or a table two columns to the right."""
-    console.print(Padding(content, (0, 0, 0, 2), expand=False))
+    """Print markup or a table, indented by two columns."""
+    console.print(Padding(content, (0, 0, 0, INDENT), expand=False))
 
 
 def print_hanging(console: Console, content: str) -> None:
-    """Print markup two columns to the right, its further lines `HANG` columns behind the first."""
+    """Print markup indented by `INDENT` columns, and its further lines by `HANG` more."""
     width = max(NARROWEST, console.width - INDENT - HANG)
     indent = INDENT
     text = console.render_str(content)
@@ -88,7 +92,10 @@ def print_hanging(console: Console, content: str) -> None:
 
 
 def plain_table(heads: Sequence[str], *, gap: int) -> Table:
-    """A table without lines, all columns but the first aligned to the right."""
+    """An empty table without lines, with all columns but the first aligned to the right.
+
+    ``gap`` is the distance between columns, in characters.
+    """
     table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0))
     for head in heads:
         table.add_column(escape(head))
@@ -105,7 +112,10 @@ def print_rows(
     gap: int,
     left: Sequence[int] = (),
 ) -> None:
-    """Print texts as a table, two columns to the right; ``left`` : columns that begin there."""
+    """Print rows of plain texts as a table, indented by two columns.
+
+    The first column and those with an index in ``left`` are aligned to the left.
+    """
     table = plain_table(heads, gap=gap)
     for column in left:
         table.columns[column].justify = "left"
@@ -115,10 +125,10 @@ def print_rows(
 
 
 class TableColumn(NamedTuple):
-    """A column of a printed table; see ``printed_columns.toml``.
+    """A column of a printed table, from ``printed_columns.toml``.
 
-    ``name`` is the key of a row, ``unit`` what one unit of the column is in the unit of the row,
-    ``digits`` a format, or ``sigma``: two decimals, one for large values.
+    ``name`` is the key of the value in a row; the value divided by ``unit`` is printed, as 100 for
+    hectopascals of pascals. ``digits`` is a format, or ``sigma``: two decimals, and one from 10 on.
     """
 
     head: str
@@ -132,14 +142,14 @@ Columns = Sequence[TableColumn]
 
 @cache
 def columns_of(name: str) -> Columns:
-    """The columns of a table in ``printed_columns.toml``."""
+    """The columns of the table ``name`` in ``printed_columns.toml``."""
     text = (files("unbend.report") / "data/printed_columns.toml").read_text("utf-8")
     tables = tomllib.loads(text)
     return [TableColumn(*column) for column in tables[name]]
 
 
 def cells_of(row: Mapping[str, Any], columns: Columns) -> list[str]:
-    """The texts of a row; empty where it has no value.
+    """The text of each column for a row; "" for None.
 
     >>> cells_of({"p": 101325.0}, [TableColumn("p", "p", 100.0, ".1f")])
     ['1013.2']
@@ -148,7 +158,7 @@ def cells_of(row: Mapping[str, Any], columns: Columns) -> list[str]:
 
 
 def cell_of(value: float | None, column: TableColumn) -> str:
-    """The text of a value in the unit of its column; empty without a value."""
+    """The text of a value in the unit of its column; "" for None."""
     if value is None:
         return ""
     in_unit = value / column.unit
@@ -159,7 +169,7 @@ def cell_of(value: float | None, column: TableColumn) -> str:
 
 
 def print_labelled(console: Console, lines: Sequence[tuple[str, str]]) -> None:
-    """Lines with their labels in a column before them."""
+    """Print lines of label and text as two columns, indented by two more."""
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")

@@ -1,4 +1,7 @@
-"""What `unbend inspect` prints of a log: flight, clocks, roles, channels, fields of a message."""
+"""What `unbend inspect` prints of a log: flight, clocks, roles, channels, fields of a message.
+
+The contents of a log are plain values by key, as `unbend inspect --json` prints them.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,11 +15,14 @@ from unbend.report.console import plain_table, print_indented, print_labelled, p
 from unbend.report.terminal import print_ledger
 from unbend.report.words import count
 
-ANY_VEHICLE = ""  # of a log with one vehicle, which has no name
+UNNAMED_VEHICLE = ""  # the only vehicle of a log
 
 
 def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
-    """What ``unbend inspect`` prints: flight, roles, and channels by the names of mission files."""
+    """Print the contents of a log: flight, clocks, roles, receivers, channels and the ledger.
+
+    Channels have the names that mission files use for them.
+    """
     console.print(f"[bold]{shown(name)}[/bold]: {log['format']}, {log['duration_s']:.1f} s")
     flight = log["flight"]
     print_labelled(
@@ -31,10 +37,10 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
         ],
     )
     print_clocks(console, log["clocks"])
-    vehicles = log["vehicles"] or [{"vehicle": ANY_VEHICLE, "roles": log["roles"]}]
+    vehicles = log["vehicles"] or [{"vehicle": UNNAMED_VEHICLE, "roles": log["roles"]}]
     for vehicle in vehicles:
         console.print()
-        if vehicle["vehicle"] != ANY_VEHICLE:
+        if vehicle["vehicle"] != UNNAMED_VEHICLE:
             console.print(f"  [bold]{shown(vehicle['vehicle'])}[/bold], one of several vehicles")
         print_roles(console, vehicle["roles"])
     print_receivers(console, log["receivers"])
@@ -45,14 +51,14 @@ def print_log(console: Console, log: Mapping[str, Any], name: str) -> None:
 
 
 def place_of(flight: Mapping[str, Any]) -> str:
-    """Where a flight was, to 100 m."""
+    """Latitude and longitude of a flight, to 100 m."""
     if not flight:
         return "unknown"
     return f"{flight['lat_deg']:.3f}°, {flight['lon_deg']:.3f}°"
 
 
 def times_of(log: Mapping[str, Any]) -> str:
-    """When a log begins and ends; the date of the end only where it is another one."""
+    """When a log begins and ends; the date of the end only if it is another day."""
     if not log["start_utc"]:
         return "counts from boot; UTC is unknown"
     begin = log["start_utc"][:19].replace("T", " ")
@@ -63,7 +69,7 @@ def times_of(log: Mapping[str, Any]) -> str:
 
 
 def heights_of(flight: Mapping[str, Any]) -> str:
-    """The range of heights of a flight, and what they refer to."""
+    """The range of heights of a flight, and their reference."""
     reference = flight.get("height_reference")
     if not reference or flight["lowest_m"] is None:
         return "unknown"
@@ -71,24 +77,24 @@ def heights_of(flight: Mapping[str, Any]) -> str:
 
 
 def take_off_of(flight: Mapping[str, Any]) -> str:
-    """The height of the take-off, and what it comes from."""
+    """The height of the take-off, and how it was found."""
     if not flight:
         return "unknown"
     if flight.get("take_off_m") is None:
         return "unknown: the aircraft is not at rest when the log begins"
     surface = flight.get("take_off_reference", flight.get("height_reference"))
-    return f"{flight['take_off_m']:.0f} m above {surface}, {take_off_by(flight)}"
+    return f"{flight['take_off_m']:.0f} m above {surface}, {source_of_take_off(flight)}"
 
 
-def take_off_by(flight: Mapping[str, Any]) -> str:
-    """What the height of the take-off comes from, in words."""
+def source_of_take_off(flight: Mapping[str, Any]) -> str:
+    """How the height of the take-off was found, in words."""
     if flight.get("take_off_by") == "home of the autopilot":
         return "by the autopilot's heights above its home"
     return "where the log begins"
 
 
 def messages_of(log: Mapping[str, Any]) -> str:
-    """How many messages of how many types a log has, and what is damaged or lost."""
+    """The numbers of messages, types, damaged bytes and lost messages of a log."""
     total = sum(log["messages"].values())
     types = count(len(log["messages"]), "type")
     bad_bytes = count(log["bad_bytes"], "bad byte")
@@ -99,7 +105,10 @@ def messages_of(log: Mapping[str, Any]) -> str:
 
 
 def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
-    """What each clock of a log is good for, and why; the one that gives UTC comes first."""
+    """Print the use of each clock of a log, its deviation from UTC, and the reason for the use.
+
+    The first clock is the one that gives UTC; ``apart_s`` is the difference from it.
+    """
     lines = []
     for clock in clocks:
         parts = [clock["clock"], clock["use"]]
@@ -116,7 +125,7 @@ def print_clocks(console: Console, clocks: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_roles(console: Console, roles: Sequence[Mapping[str, Any]]) -> None:
-    """The channel of each role, and what speaks for it."""
+    """Print the channel that has each role, for example position, and remarks on the choice."""
     rows = []
     for row in roles:
         rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.3g}"
@@ -132,7 +141,7 @@ def print_roles(console: Console, roles: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_receivers(console: Console, receivers: Sequence[Mapping[str, str]]) -> None:
-    """What each of several receivers is good for, and why."""
+    """Print the use of each receiver and the reason, if there are several."""
     if len(receivers) < 2:
         return
     rows = [(row["channel"], row["good_for"], row["why"]) for row in receivers]
@@ -147,25 +156,25 @@ def print_receivers(console: Console, receivers: Sequence[Mapping[str, str]]) ->
 
 
 def channel_table(channels: Sequence[Mapping[str, Any]]) -> Table:
-    """Samples, rate and gaps of each channel."""
+    """A table with the samples, rate and gaps of each channel."""
     table = plain_table(("channel", "samples", "rate [Hz]", "gaps", "gaps [s]"), gap=2)
-    # Names are copied into mission files: in one piece, and never cut.
+    # Names are copied into mission files, so they must not be cut.
     table.columns[0].overflow = "fold"
     for channel in channels:
         gaps_s = [gap["seconds"] for gap in channel["gaps"]]
-        number = ""
-        together = ""
+        gaps = ""
+        total_s = ""
         if gaps_s:
-            number = str(len(gaps_s))
-            together = f"{sum(gaps_s):.1f}"
+            gaps = str(len(gaps_s))
+            total_s = f"{sum(gaps_s):.1f}"
         samples = f"{channel['samples']:,}"
         rate = f"{channel['rate_hz']:.3g}"
-        table.add_row(shown(channel["name"]), samples, rate, number, together)
+        table.add_row(shown(channel["name"]), samples, rate, gaps, total_s)
     return table
 
 
 def print_fields(console: Console, title: str, rows: Sequence[Mapping[str, str]]) -> None:
-    """The fields of a message: type, first value, and the range of its numbers."""
+    """Print the fields of a type of messages; ``rows`` are those of `field_rows`."""
     console.print(f"[bold]{shown(title)}[/bold]")
     heads = ("field", "type", "first", "lowest", "highest")
     table = plain_table(heads, gap=2)

@@ -9,18 +9,20 @@ from unbend.tables.geodata.map_grids import MapGrid
 from unbend.units import Array, round_step
 
 Range = tuple[float, float]
+"""Lower and upper limit."""
 
-MOST_PARTS = 6  # of the longer side of the map, between the lines: their numbers fit on a phone
-_PLACES = 161  # of a line, so that it ends within a part in 160 of the frame
-_FRAME_PLACES = 9  # on each side of the map, whose coordinates limit the lines
+MOST_PARTS = 6  # of the map's longer side between lines: more numbers do not fit on a phone
+_PLACES = 161  # along a line: its end is within 1/160 of the edge of the map
+_FRAME_PLACES = 9  # along each side of the map, for the range of its coordinates
 
 
 @dataclass(frozen=True, eq=False)
 class GridLine:
     """A line of one coordinate on the map.
 
-    ``label`` : the coordinate, with thousands apart. ``is_easting`` : of x, else of y. ``lon_deg``,
-    ``lat_deg`` (n,) are its places, NaN outside the map.
+    ``label`` is the coordinate with its thousands separated by narrow blanks. ``is_easting``: it is
+    x, and the line runs north; else it is y. ``lon_deg``, ``lat_deg`` (n,) are places along the
+    line, from south to north or west to east, NaN outside the map.
     """
 
     label: str
@@ -30,12 +32,12 @@ class GridLine:
 
     @property
     def is_on_map(self) -> bool:
-        """Whether a part of it is on the map."""
+        """Whether at least two places of the line are on the map."""
         return int(np.isfinite(self.lon_deg).sum()) > 1
 
     @property
     def end_deg(self) -> tuple[float, float]:
-        """Longitude and latitude of its northern or eastern end on the map."""
+        """Longitude and latitude of the line's northern or eastern end on the map."""
         on_map = np.flatnonzero(np.isfinite(self.lon_deg))
         last = int(on_map[-1])
         lon = float(self.lon_deg[last])
@@ -45,14 +47,14 @@ class GridLine:
 
 @dataclass(frozen=True, eq=False)
 class MapFrame:
-    """The frame of a map: a grid, and the limits of longitude and latitude [deg]."""
+    """The frame of a map: its metric grid, and the limits of longitude and latitude [deg]."""
 
     grid: MapGrid
     lon_deg: Range
     lat_deg: Range
 
     def coordinates(self) -> tuple[Array, Array]:
-        """x and y of places all over the map."""
+        """x and y [m] of 81 places spread over the map."""
         lon = np.linspace(*self.lon_deg, _FRAME_PLACES)
         lat = np.linspace(*self.lat_deg, _FRAME_PLACES)
         all_lon, all_lat = np.meshgrid(lon, lat)
@@ -61,13 +63,16 @@ class MapFrame:
         return self.grid.coordinates(lat_rad, lon_rad)
 
     def line(self, x: Array, y: Array, value: float, *, is_easting: bool) -> GridLine:
-        """A line through coordinates (n,), of which one has a ``value`` everywhere."""
+        """The line through places with the coordinates ``x``, ``y`` (n,) [m].
+
+        ``value`` is the coordinate that is equal along the line: x if ``is_easting``, else y.
+        """
         west, east = self.lon_deg
         south, north = self.lat_deg
         lon, lat = self.grid.places(x, y)
         middle = 0.5 * (west + east)
         turns = np.round((middle - lon) / 360.0)
-        lon += 360.0 * turns  # on across the 180th meridian
+        lon += 360.0 * turns  # nearest to the map, which may cross the 180th meridian
         is_inside = lon >= west
         is_inside &= lon <= east
         is_inside &= lat >= south
@@ -83,9 +88,9 @@ class MapFrame:
 
 
 def grid_lines(grid: MapGrid, lon_deg: Range, lat_deg: Range) -> list[GridLine]:
-    """The lines of a grid on a map within limits [deg].
+    """The lines of a metric grid on a map with limits of longitude and latitude [deg].
 
-    The distance of the lines is 1, 2 or 5 times a power of ten.
+    The distance between lines is 1, 2 or 5 times a power of ten [m].
     """
     frame = MapFrame(grid, lon_deg, lat_deg)
     x, y = frame.coordinates()
@@ -107,8 +112,8 @@ def grid_lines(grid: MapGrid, lon_deg: Range, lat_deg: Range) -> list[GridLine]:
 
 
 def multiples(values: Array, step: float) -> Iterator[float]:
-    """The multiples of a step between the first and the last of some values."""
+    """The multiples of a step between the first and the last of increasing values."""
     first = int(np.ceil(values[0] / step))
     last = int(np.floor(values[-1] / step))
-    for number in range(first, last + 1):
-        yield number * step
+    for multiple in range(first, last + 1):
+        yield multiple * step

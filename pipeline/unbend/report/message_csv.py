@@ -1,4 +1,4 @@
-"""The messages of a log as CSV, and their fields as rows of a table."""
+"""The messages of one type in a log as CSV, and their fields as rows of a table."""
 
 import csv
 from collections.abc import Iterator, Mapping
@@ -9,15 +9,17 @@ from numpy.typing import NDArray
 
 from unbend.ingest.utc_evidence import is_utc
 
-BLOCK = 8192  # rows made text at once
+BLOCK = 8192  # rows that are converted to text at a time
 
 Columns = Mapping[str, NDArray[Any]]
+"""Name of a field -> its values (n,) or (n, ...), a row for each message."""
 
 
 def write_messages_csv(stream: TextIO, columns: Columns) -> None:
-    """Columns of one length as CSV: numbers exactly, times as ISO 8601, an array as many columns.
+    """Write columns as CSV: numbers with all digits, times as ISO 8601, arrays as several columns.
 
-    A time that counts from a boot is no UTC: its field is empty; the log's own columns have it.
+    The column ``time_ns`` is written as ``time_utc``, and is empty for times since a boot: other
+    columns of the log contain these.
 
     >>> import sys
     >>> times_ns = np.array([1_500_000_000 * 10**9, 0])
@@ -41,7 +43,7 @@ def write_messages_csv(stream: TextIO, columns: Columns) -> None:
 
 
 def field_rows(columns: Columns) -> list[dict[str, str]]:
-    """A row for each field: type, first value, and the range of its finite numbers."""
+    """A row for each field: its name, type and first value, and the range of its finite numbers."""
     rows = []
     for name, column in flat_columns(columns):
         row = {
@@ -58,7 +60,7 @@ def field_rows(columns: Columns) -> list[dict[str, str]]:
 
 
 def range_of(numbers: NDArray[Any]) -> dict[str, str]:
-    """Lowest and highest of the finite numbers; nothing without any."""
+    """Keys lowest and highest, of the finite numbers; empty without any."""
     finite = numbers[np.isfinite(numbers)]
     if finite.size == 0:
         return {}
@@ -69,7 +71,7 @@ def range_of(numbers: NDArray[Any]) -> dict[str, str]:
 
 
 def flat_columns(columns: Columns) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Names and columns, with a column for each number of an array: q[0], q[1], ..."""
+    """Names and columns (n,); a field of arrays becomes a column for each element: q[0], q[1]."""
     for name, column in columns.items():
         if column.ndim == 1:
             yield name, column
@@ -80,7 +82,7 @@ def flat_columns(columns: Columns) -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 def values_of(name: str, column: NDArray[Any]) -> list[Any]:
-    """Values as they are written: times as ISO 8601, or empty if they count from a boot."""
+    """The values of a column for CSV; ``time_ns`` as ISO 8601, or "" for times since a boot."""
     if name != "time_ns":
         return list(column.tolist())
     times = column.astype("datetime64[ns]")

@@ -1,4 +1,4 @@
-"""Messages of report: what each code means, and the words of what is sent."""
+"""Refusals of `unbend help` and of plots, with the meanings of their codes."""
 
 from unbend.errors import Code, ConfigError
 
@@ -14,7 +14,7 @@ HELP_WORD = Code(
 
 
 def help_word(*, word: str, near: str) -> ConfigError:
-    """A word that is explained nowhere; ``near`` are words like it, or none."""
+    """A word has no explanation; ``near`` lists similar words that have one, or is empty."""
     remedy = "`unbend schema` has all keys; messages and refusals begin with their code"
     if near:
         remedy = "perhaps {near}?"
@@ -39,7 +39,7 @@ PLOT_FORMAT = Code(
 
 
 def plot_format(*, where: object) -> ConfigError:
-    """A plot is written as .png or .svg."""
+    """The name of a plot has another ending than .png or .svg."""
     return ConfigError(
         PLOT_FORMAT,
         "a plot is written as .png or .svg",

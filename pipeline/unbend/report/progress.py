@@ -13,21 +13,24 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 DELAY_S = 0.5
-"""After it the bar appears, so that none is silent for two on an overloaded machine either."""
+"""Until the bar appears: so no command is silent for 2 s, even on an overloaded machine."""
 
 
 class Progress:
-    """What a stage reports while it runs; here it is discarded."""
+    """Receives the progress of a stage and discards it; `DelayedProgressBar` shows it."""
 
     def start(self, step: str, total: int | None = None) -> None:
-        """Begin a step of ``total`` units, None if that is not known."""
+        """Begin a step of ``total`` units; None if their number is unknown."""
 
     def advance(self, count: int) -> None:
         """Add ``count`` finished units to the step."""
 
 
 class CompilingNote:
-    """Text that says whether kernels are being compiled, without importing them."""
+    """A text that is " (compiling, once)" while kernels are compiled, else "".
+
+    It is evaluated when the bar is drawn, and does not import the kernels.
+    """
 
     def __str__(self) -> str:
         jit = sys.modules.get("unbend.refraction.kernels.jit")
@@ -35,7 +38,10 @@ class CompilingNote:
 
 
 class DelayedProgressBar(Progress):
-    """A bar that appears after half a second of work, erased at the end; None: no terminal."""
+    """A progress bar that appears after half a second, and is erased at the end.
+
+    Without a ``console``, or if that is not a terminal, nothing is shown. A context manager.
+    """
 
     def __init__(self, console: Console | None, title: str) -> None:
         self._console = console
@@ -64,11 +70,14 @@ class DelayedProgressBar(Progress):
                 self._bar.stop()
 
     def _show(self) -> None:
-        # Here, in the timer's thread: most commands end before it is imported.
+        """Show the bar; called in the timer's thread, in which rich.progress is imported.
+
+        Most commands end before that.
+        """
         from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
-        # A timer that runs out while the work ends can no longer be cancelled.
+        # The work may have ended when the timer had just run out and could not be cancelled.
         with self._lock:
             if self._ended or self._console is None:
                 return
@@ -87,7 +96,7 @@ class DelayedProgressBar(Progress):
             self._bar.start()
 
     def _begin_task(self) -> None:
-        """Show the step as a new task, since rich cannot take the total from one that has it."""
+        """Show the step as a new task, because rich cannot remove the total of an existing task."""
         if self._task is not None:
             self._bar.remove_task(self._task)
         self._task = self._bar.add_task(
@@ -113,7 +122,7 @@ class DelayedProgressBar(Progress):
                 self._bar.advance(self._task, count)
 
     def update(self, step: str, completed: int, total: int) -> None:
-        """Set step, finished units and their total (0 if that is not known)."""
+        """Set the step, its finished units and their total, which is 0 if it is unknown."""
         with self._lock:
             self._text = f"{self._title}: {step}"
             self._completed = completed

@@ -1,4 +1,4 @@
-"""What commands say of missions: 80 columns wide in a terminal."""
+"""What commands print about missions, wrapped to the width of the terminal."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -26,14 +26,14 @@ from unbend.tables.manifest.whole import Manifest
 
 COLOURS = {"finding": "red", "loss": "red", "warning": "yellow", "fallback": "cyan", "note": "dim"}
 
-MAX_CONTROL_ROWS = 12
+MAX_CONTROL_ROWS = 12  # control points in the table
 MAX_UNCHANGED = 12  # missions that are named
-MAX_REASONS = 6
+MAX_REASONS = 6  # why a mission would run
 
-FIRST_STATIONS = 25
+FIRST_STATIONS = 25  # rows of the table of stations, before and after its gap
 LAST_STATIONS = 5
-WIDTH_BESIDE_NAMES = 63  # characters of the other columns
-SHORTEST_NAME = 17  # characters of an image's name
+WIDTH_WITHOUT_NAMES = 63  # characters of all columns but the names of images
+SHORTEST_NAME = 17  # characters of an image's name, also in a narrower terminal
 
 NOTHING_TO_DO = "nothing to do: mission file, inputs and code did not change since the last run"
 
@@ -47,7 +47,11 @@ def print_run(
     repeated: bool,
     brief: bool = False,
 ) -> None:
-    """Summary at the end of a mission, or a ``brief`` line; ``repeated`` if it was up to date."""
+    """Print the summary at the end of a mission, or only one line if ``brief``.
+
+    ``output`` is the folder or URL of the results. ``repeated``: the mission was up to date, so
+    ``manifest`` is that of an earlier run.
+    """
     folder = output
     if manifest.run.attempt:
         folder = f"{output}/attempts/{manifest.run.attempt}"
@@ -76,7 +80,7 @@ def print_run(
 
 
 def print_control(console: Console, manifest: Manifest) -> None:
-    """How control points and check points agree, if a mission has any."""
+    """Print how well control points agree before and after; nothing without control points."""
     sentence = summary.control_sentence(manifest)
     if sentence:
         print_indented(console, shown(sentence))
@@ -85,7 +89,7 @@ def print_control(console: Console, manifest: Manifest) -> None:
 
 
 def print_steps(console: Console, steps: Sequence[str]) -> None:
-    """What to do next, the first step with a label."""
+    """Print what to do next, one step a line, the first with the label "next"."""
     lines = []
     label = "next"
     for step in steps:
@@ -95,22 +99,22 @@ def print_steps(console: Console, steps: Sequence[str]) -> None:
 
 
 def in_short(manifest: Manifest) -> str:
-    """A run in some words: rows, correction, losses and warnings."""
+    """One line of markup about a run: rows, correction, losses, findings and warnings."""
     shift = manifest.results.correction.shift_px
     kinds = [entry.kind for entry in manifest.results.ledger]
     rows = count(manifest.results.observations.rows, "observation")
     parts = [f"{shift.count:,} of {rows}"]
     if shift.count:
         parts.append(f"median {shift.median:.3g} px, 95 % below {shift.p95:.3g} px")
-    for kind, many in (("loss", "losses"), ("finding", ""), ("warning", "")):
+    for kind, plural in (("loss", "losses"), ("finding", ""), ("warning", "")):
         number = kinds.count(kind)
         if number:
-            parts.append(f"[{COLOURS[kind]}]{count(number, kind, many)}[/]")
+            parts.append(f"[{COLOURS[kind]}]{count(number, kind, plural)}[/]")
     return ", ".join(parts)
 
 
 def print_unchanged(console: Console, names: Sequence[str], total: int) -> None:
-    """Which of several missions needed no run; of many only how many."""
+    """Print which of ``total`` missions needed no run; only their number if they are many."""
     titles = [f"[bold]{shown(name)}[/bold]" for name in names]
     if len(names) > MAX_UNCHANGED:
         titles = [f"{len(names):,} of {count(total, 'mission')}"]
@@ -120,7 +124,7 @@ def print_unchanged(console: Console, names: Sequence[str], total: int) -> None:
 
 
 def print_ledger(console: Console, entries: Sequence[MessageRecord]) -> None:
-    """Each entry of a ledger, the gravest first."""
+    """Print the entries of a ledger, the most severe kinds first."""
     for kind, code, text in summary.ledger_rows(entries):
         print_hanging(console, f"[{COLOURS[kind]}]{kind}[/] {shown(code)}: {shown(text)}")
 
@@ -133,8 +137,9 @@ def print_check(
     *,
     verbose: bool,
 ) -> None:
-    """What ``unbend check`` read and expects of a run, and what the ledger of a run would hold.
+    """Print the result of ``unbend check``: what was read, and the ledger that a run would have.
 
+    ``lines`` are labels and texts about the inputs, ``results`` those that are expected of a run.
     Notes of the ledger are only counted, unless ``verbose``.
     """
     verdict = "a run would end with code 3" if results.exit_code else "can be run"
@@ -151,7 +156,7 @@ def print_check(
 
 
 def print_status(console: Console, name: str, reasons: Sequence[str]) -> None:
-    """Whether a mission would run, and why."""
+    """Print whether a mission would run: only if there are ``reasons``, for example new inputs."""
     state = "would run" if reasons else "unchanged"
     console.print(f"[bold]{shown(name)}[/bold] {state}")
     for reason in reasons[:MAX_REASONS]:
@@ -162,7 +167,11 @@ def print_status(console: Console, name: str, reasons: Sequence[str]) -> None:
 
 
 def print_stations(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
-    """The first and last stations as a table, how many there are, and why some cannot be used."""
+    """Print the first and last stations as a table, and a line for each group of all stations.
+
+    ``rows`` have the columns of ``stations.parquet``. A group has the same camera, status and
+    reason.
+    """
     hidden = len(rows) - FIRST_STATIONS - LAST_STATIONS
     if hidden <= 0:
         print_station_rows(console, rows, [])
@@ -180,7 +189,7 @@ def print_stations(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
 def print_station_rows(
     console: Console, first: Sequence[Mapping[str, Any]], last: Sequence[Mapping[str, Any]]
 ) -> None:
-    """A table of stations, with a gap before the last ones."""
+    """Print a table of the ``first`` stations and, after a row of dots, the ``last`` if any."""
     columns = columns_of("stations")
     heads = ("image\n", "UTC\n", *(column.head for column in columns), "status\n")
     table = plain_table(heads, gap=1)
@@ -189,7 +198,7 @@ def print_station_rows(
     status = table.columns[-1]
     status.overflow = "fold"
     status.justify = "left"
-    longest = max(console.width - WIDTH_BESIDE_NAMES, SHORTEST_NAME)
+    longest = max(console.width - WIDTH_WITHOUT_NAMES, SHORTEST_NAME)
 
     def add_rows(rows: Sequence[Mapping[str, Any]]) -> None:
         for row in rows:
@@ -207,7 +216,14 @@ def print_station_rows(
 
 
 def station_group(camera: str, status: str, reason: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """Stations of a camera with one status: how many, which, why, and how far they are off."""
+    """A sentence about stations ``rows`` of one camera, status and reason.
+
+    It states their number, first and last image, the reason, and the largest ``suspect_m``.
+
+    >>> row = {"image": "a.jpg", "suspect_m": 12.3}
+    >>> station_group("nadir", "suspect", "far from the log", [row])
+    'nadir: 1 suspect, a.jpg: far from the log (up to 12 m off)'
+    """
     text = f"{camera}: {len(rows):,} {status}"
     if status != "ok":
         first = rows[0]["image"]
