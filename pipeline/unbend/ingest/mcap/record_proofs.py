@@ -94,7 +94,7 @@ def candidate_places(view: Bytes, opcodes: tuple[int, ...]) -> Rows:
     if count <= 0:
         return np.empty(0, np.intp)
     possible = np.isin(view[:count], np.array(opcodes, np.uint8))
-    upper_half = RECORD_HEAD.size - 4  # of the length, whose eight bytes end the head of a record
+    upper_half = RECORD_HEAD.size - 4  # of the eight bytes of the length, at the end of the head
     for byte in range(upper_half, RECORD_HEAD.size):
         possible &= view[byte : byte + count] == 0
     return np.flatnonzero(possible)

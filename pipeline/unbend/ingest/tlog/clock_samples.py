@@ -16,7 +16,7 @@ from unbend.units import Mask
 MILLISECOND = 1_000_000  # [ns]
 MICROSECOND = 1_000  # [ns]
 
-# Density of the samples of a clock: a message without a time of its own lies between two of them.
+# Density of the samples of a clock: a message without a time is between two of them.
 # The link delays it by 55 ms to 2 s (p5 to p95 in real logs), so more samples are no gain.
 SAMPLE_MS = 50
 DELAY_US = 10_000  # a delay of the link that differs by less is constant

@@ -1,8 +1,8 @@
 """Scanning a telemetry log in stretches: frames checked, wanted payloads kept, the rest counted.
 
-A frame is accepted when its checksum is right. Between accepted frames lie those that cannot be
-checked (an id outside the dialect), those whose checksum fails, and bytes of no message. Everything
-is done for all frames of a stretch of the file at once.
+A frame is accepted when its checksum is right. Between accepted frames there are frames that cannot
+be checked (an id outside the dialect), frames with a wrong checksum, and bytes of no message. All
+frames of a stretch of the file are scanned at once.
 """
 
 from collections import Counter
