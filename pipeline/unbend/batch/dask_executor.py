@@ -81,7 +81,7 @@ class _Submitted(NamedTuple):
 
 
 class DaskExecutor:
-    """Executor that runs missions on a Dask scheduler's workers, by its address or its JSON file."""
+    """Executor that runs missions on a Dask scheduler's workers, by its address or JSON file."""
 
     def __init__(self, scheduler: str) -> None:
         self._scheduler = scheduler
@@ -195,7 +195,7 @@ class _Handout:
         future.add_done_callback(self.ended_or_stop.put)
 
     def _put_end(self, key: str) -> None:
-        """Put how a mission ended into ``ends``; if its worker died, submit it again a few times."""
+        """Put how a mission ended into ``ends``; if its worker died, submit it some more times."""
         mission, future, times = self.waiting.pop(key)
         try:
             self.ends.put((mission, future.result()))
