@@ -679,7 +679,7 @@ def test_radians_without_tie_points_are_noticed(true_table, crossing_lines):
     def units_of(table):
         table.to_csv(folder / "unnamed.csv", index=False)
         mission = read_mission(folder / "unnamed.yaml")
-        return with_code(mission.ledger, "ORIENTATION-UNIT")
+        return with_code(mission.ledger, "ORIENTATION-RADIANS")
 
     assert not units_of(true_table)
     true_table[OPK] = np.radians(true_table[OPK])

@@ -129,7 +129,11 @@ def height_misses(by_point: SortedRays, position: Array, good: Mask) -> HeightMi
 def linearised(
     by_point: SortedRays, orientations: Orientations, position: Array, good: Mask
 ) -> ReducedSystem:
-    """The system of the good rays at positions (p, 3) of the points, minus ``origin`` [m]."""
+    """The linearised system of the good rays and given heights, with the points taken out.
+
+    ``position`` (p, 3): of the points, less the ``origin`` of ``by_point`` [m]. The result has the
+    corrections of the stations that solve the system.
+    """
     points = by_point.start.size
     rays = by_point.misses(orientations, position, good)
     heights = height_misses(by_point, position, good)
@@ -139,7 +143,7 @@ def linearised(
         rays.station_derivatives, by_point.image, orientations.camera.size, empty=points
     )
     y = np.append(rays.miss.ravel(), heights.miss)
-    Y_t = Y.T.tocsr()  # matrices of one format are not converted again
+    Y_t = Y.T.tocsr()  # transposes are CSC: converted once, not in each product
     J_t = J.T.tocsr()
     Z = Y_t @ J
     JJ = J_t @ J

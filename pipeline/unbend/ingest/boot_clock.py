@@ -305,8 +305,7 @@ class _BootSources:
         For a clock that no receiver sets, sigma is at least its difference from the recorder.
         """
         sigma_s = used.sigma_s
-        is_set_by_receiver = used.readings.sigma_s == 0.0
-        if is_set_by_receiver:
+        if used.readings.is_set_by_receiver:
             return sigma_s
         for recorder in self.recorded:
             sigma_s = max(sigma_s, abs(recorder.seconds_from(used)))

@@ -35,6 +35,11 @@ class UtcReadings:
     why: str = "set by the GNSS receiver"  # the reason for this sigma
     from_gps_week: bool = False  # UTC was computed by this package from GPS week and seconds
 
+    @property
+    def is_set_by_receiver(self) -> bool:
+        """Whether a GNSS receiver sets this clock: its sigma is 0 here, its delay is added later."""
+        return self.sigma_s == 0.0
+
     def counted(self, rows: int) -> str:
         """A number of rows of this source, in words."""
         return str(Counted(rows, self.singular or self.source, self.source))
@@ -116,7 +121,7 @@ class DateCheck:
             rows = boots == number
             stated_ns = source.median_utc_ns(rows)
             clocks = self._clocks_of(number)
-            rollovers = missed_rollovers(stated_ns, clocks, of_receiver=source.sigma_s == 0.0)
+            rollovers = missed_rollovers(stated_ns, clocks, of_receiver=source.is_set_by_receiver)
             place = place_of_boot(self.where, number)
             words = source.counted(int(np.count_nonzero(rows)))
             if rollovers is None or self._is_unset(source, stated_ns, clocks):
@@ -148,7 +153,10 @@ class DateCheck:
         return checked if bool(keep.all()) else checked.rows(keep)
 
     def _clocks_of(self, boot: int) -> list[Witness]:
-        """The other clocks that know the date of a boot, the strongest first."""
+        """The clocks that the date of a boot is compared with, the strongest first.
+
+        These are all witnesses, the weak ones last, and the recorder if it has rows in this boot.
+        """
         strong = [witness for witness in self.witnesses if not witness.is_weak]
         weak = [witness for witness in self.witnesses if witness.is_weak]
         if self.recorder is not None:
@@ -163,8 +171,7 @@ class DateCheck:
 
         False if that clock is weak.
         """
-        is_set_by_receiver = source.sigma_s == 0.0
-        if is_set_by_receiver or not clocks or clocks[0].is_weak:
+        if source.is_set_by_receiver or not clocks or clocks[0].is_weak:
             return False
         return abs(stated_ns - clocks[0].time_ns) > DAY_NS
 

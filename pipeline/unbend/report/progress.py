@@ -58,7 +58,7 @@ class DelayedProgressBar(Progress):
 
     def __enter__(self) -> DelayedProgressBar:
         if self._console is not None and self._console.is_terminal:
-            with held_back():
+            with held_back():  # a signal while the timer has its lock would block for ever
                 self._timer.start()
         return self
 

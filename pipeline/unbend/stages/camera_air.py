@@ -48,11 +48,11 @@ def air_at_camera(
     lens: AnyLens | None,
     rows: Mask,
 ) -> Air:
-    """The air around the lens of a camera at exposures in the mask ``rows`` (s,): cabin or outside.
+    """The air around the lens of a camera, for the exposures of the mask ``rows`` (s,) only.
 
-    The air of a cabin is used where `with_cabin_air` completes it: if the camera has a ``lens``
-    (its principal distance is corrected for the air) or a plane window. Otherwise it is the air of
-    ``profile`` at the height of the camera.
+    It is the air of the cabin, completed by `with_cabin_air`, if the window has a cabin and either
+    is plane or the principal distance is corrected for the air (``lens`` is not None). Otherwise it
+    is the air of ``profile`` at the height of the camera.
     """
     has_plane_window = window is not None and window.shape == "plane"
     has_cabin = window is not None and window.cabin is not None

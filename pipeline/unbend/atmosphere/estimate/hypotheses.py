@@ -196,20 +196,20 @@ def _log_likelihood(
     """ln of the marginal likelihood of the readings under a hypothesis, in normal approximation.
 
     -(cost + ln det(C_prior) - ln det(C))/2; terms that are the same in all hypotheses are left out.
-    The cost is that at the minimum which one more step with these ``weights`` ((m,) of each set)
-    would reach from the solution.
+    The cost is the least that one more Gauss-Newton step from the solution reaches. ``weights``:
+    (m,) of each set of readings, the same for all hypotheses.
     """
     departure = evidence.prior.mean - evidence.air.x
     normal = evidence.prior.precision.copy()
-    right = normal @ departure
-    cost = float(departure @ right)
+    gradient = normal @ departure
+    cost = float(departure @ gradient)
     for readings, weight in zip(sets, weights, strict=True):
         predicted, jacobian = readings.predict(evidence.air)
         residual = readings.value - predicted
         normal += (jacobian.T * weight) @ jacobian
-        right += jacobian.T @ (weight * residual)
+        gradient += jacobian.T @ (weight * residual)
         cost += float(weight @ residual**2)
-    cost -= float(right @ np.linalg.solve(normal, right))
+    cost -= float(gradient @ np.linalg.solve(normal, gradient))
     of_prior = float(np.linalg.slogdet(evidence.prior.precision)[1])
     of_posterior = float(np.linalg.slogdet(normal)[1])
     return 0.5 * (of_prior - of_posterior - cost)

@@ -76,10 +76,9 @@ class RecordWalk:
         self.channels: set[int] = set()  # their numbers prove messages after damage
         self._chunks = ChunkReader(data, damage, self.channels)
         self._batch = MessageBatch()
-        # Where the last record before the present one begins. After damage records are searched
-        # behind this place, as the length of that record may be what is damaged. The length of a
-        # proved chunk is not: for a chunk it is the place of its last byte.
-        self._last_begin = -1
+        # After damage, records are searched behind this place. It is the begin of the previous
+        # record, because the length of that may be damaged; of a proved chunk it is the last byte.
+        self._search_after = -1
         self._data_end: int | None = None  # behind it the summary begins
         self._data_ends = 0  # records that end the data
         self._data_end_checked = False
@@ -121,7 +120,7 @@ class RecordWalk:
             first = self._first_after_damaged_mark()
             where = self.damage.place_in_words(0)
             self.damage.add(messages.file_beginning_damaged(where=where, count=first))
-        self._last_begin = first - 1  # the first record itself may be damaged
+        self._search_after = first - 1  # the first record itself may be damaged
         return first
 
     def _first_after_damaged_mark(self) -> int:
@@ -152,7 +151,7 @@ class RecordWalk:
             end = place + RECORD_HEAD.size + length
             if opcode == Opcode.MESSAGE and length <= LARGE_MESSAGE and end <= len(raw):
                 span.starts.append(place)
-                self._last_begin = begin + place
+                self._search_after = begin + place
             else:
                 has_ended = self._take_other_record(span, Record(opcode, begin + place, length))
                 if has_ended:
@@ -177,11 +176,11 @@ class RecordWalk:
         """
         is_possible = 0 < record.opcode <= LAST_OPCODE or record.opcode >= FIRST_PRIVATE_OPCODE
         if record.end > self.data.size or not is_possible:
-            last_begin = self._last_begin  # `_resume` changes it
+            previous_begin = self._search_after  # `_resume` changes it
             span.following = self._resume(record)
             if span.following is not None and span.following < record.begin:
                 # Records go on inside the last message: its length was damaged.
-                span.drop_last_message_at(last_begin)
+                span.drop_last_message_at(previous_begin)
             return True
         if record.opcode == Opcode.FOOTER:
             span.following = self._end_at_footer(record)
@@ -192,9 +191,9 @@ class RecordWalk:
         self._list_record(span, record)
         is_chunk = record.opcode == Opcode.CHUNK
         if is_chunk and is_proved(self.data, record.begin, self.channels):
-            self._last_begin = record.end - 1
+            self._search_after = record.end - 1
         else:
-            self._last_begin = record.begin
+            self._search_after = record.begin
         return False
 
     def _list_record(self, span: _Span, record: Record) -> None:
@@ -244,13 +243,13 @@ class RecordWalk:
             )
 
     def _resume(self, record: Record) -> int | None:
-        """Enter the damage that shows at a record; returns where records go on, None if nowhere.
+        """Report the damage found at a record; returns where records go on, None if nowhere.
 
-        The place may be before ``record``: inside the record before, if the length of that is what
-        was damaged.
+        That may be before ``record``, inside the previous record, if the length of the previous
+        record was damaged.
         """
-        last_begin = self._last_begin
-        place = next_proved_record(self.data, last_begin + 1, self.channels)
+        previous_begin = self._search_after
+        place = next_proved_record(self.data, previous_begin + 1, self.channels)
         if place is None:
             self.damage.add(
                 messages.record_cut_off(
@@ -261,12 +260,12 @@ class RecordWalk:
                 )
             )
             return None
-        # A place before this record is inside the last one: that is lost from its begin on.
-        lost_from = record.begin if place > record.begin else last_begin
+        # A place before this record is inside the previous one, which is lost from its begin on.
+        lost_from = record.begin if place > record.begin else previous_begin
         lost = place - lost_from
-        where = self.damage.place_in_words(min(record.begin, place))
+        where = self.damage.place_in_words(lost_from)
         self.damage.add(messages.not_a_record(where=where, count=lost))
-        self._last_begin = place
+        self._search_after = place
         return place
 
     # The content of the records.

@@ -147,11 +147,12 @@ MANUAL_TOP_M = 80_500.0
 
 @at_45_degrees
 def manual(profile: Profile, h_c: Array, h_g: Array) -> Array:
-    """R_c [rad] by 2410 H / (H^2 - 6 H + 250) - (h / H) 2410 h / (h^2 - 6 h + 250) urad.
+    """R_c [rad] by the formula of the Manual of Photogrammetry, of camera H and ground h [km].
 
-    Arguments as in `unbend.refraction.published`; ``profile`` is not used. H and h are km above sea
-    level. NaN for a camera at or below sea level or above 80.5 km, and for a ground more
-    than 1000 m below it.
+    R = 2410 H / (H^2 - 6 H + 250) - (h / H) 2410 h / (h^2 - 6 h + 250) urad at 45 degrees, with
+    heights above sea level; at other nadir angles times the tangent. Arguments as in
+    `unbend.refraction.published`; ``profile`` is not used. NaN for a camera at or below sea level
+    or above 80.5 km, and for a ground below -1 km.
 
     A fit to Bertram's table, good above 6 km: against the spherical form at 45 degrees in ARDC 1959
     it reads 25, 22, 13 and 2 % low at 0.5, 1, 3 and 6 km, 5 % high at 10 km, 0 % at 20 km. A

@@ -980,8 +980,8 @@ def orientation_unchecked(*, where: str, count: int, needed: int) -> Message:
     )
 
 
-ORIENTATION_UNIT = Code(
-    "ORIENTATION-UNIT",
+ORIENTATION_RADIANS = Code(
+    "ORIENTATION-RADIANS",
     means=(
         "The headings of a table of orientations follow the flight lines if its angles are "
         "radians, and not in the stated unit."
@@ -991,17 +991,16 @@ ORIENTATION_UNIT = Code(
 )
 
 
-def orientation_unit(*, where: str, camera: str, count: int, unit: str) -> Message:
+def orientation_in_radians(*, where: str, camera: str, unit: str) -> Message:
     """The angles of a camera are likely radians, because its headings follow the flight then."""
     return finding(
-        ORIENTATION_UNIT,
+        ORIENTATION_RADIANS,
         (
-            "the headings of {count} images of {camera} follow the flight lines in radians, not in "
-            "the stated unit {unit}: likely radians ({where})"
+            "the headings of {camera} follow the flight lines if the angles are radians, not in the "
+            "stated unit {unit}: likely radians ({where})"
         ),
         where=where,
         camera=camera,
-        count=count,
         unit=unit,
     )
 

@@ -115,7 +115,7 @@ def oriented_stations(
 def unit_of_angles(
     section: OrientationSection, table: OrientationTable, stations: Stations
 ) -> Iterator[Message]:
-    """A finding (ORIENTATION-UNIT) for each camera with angles that are likely radians.
+    """A finding (ORIENTATION-RADIANS) for each camera with angles that are likely radians.
 
     That is if its headings follow the flight lines as radians, and not in the stated unit.
     ``stations`` are those of the table, in its order.
@@ -134,10 +134,9 @@ def unit_of_angles(
             usable=stations.ok[rows],
         )
         if radians:
-            yield messages.orientation_unit(
+            yield messages.orientation_in_radians(
                 where=f"{SECTION}.unit",
                 camera=camera or "the camera",
-                count=int(rows.sum()),
                 unit=section.unit,
             )
 

@@ -92,7 +92,7 @@ def are_suspect_by_height(facts: Facts, ledger: Ledger) -> bool:
     """Whether all stations that are not ok are suspect, and barometer and GNSS height disagree."""
     status = facts.stations.status[~facts.stations.ok]
     heights_disagree = any(entry.code == "STATIONS-HEIGHT" for entry in ledger)
-    return heights_disagree and bool(np.all(status == "suspect"))
+    return heights_disagree and status.size > 0 and bool(np.all(status == "suspect"))
 
 
 def cameras_of_exchanged_sides(facts: Facts) -> list[str]:

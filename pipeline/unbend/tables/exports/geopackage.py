@@ -281,8 +281,8 @@ def data_text(name: str) -> str:
     return files("unbend.tables").joinpath(f"data/{name}").read_text("utf-8").strip()
 
 
-def add_layer(database: sqlite3.Connection, layer: FeatureLayer, number: int) -> int:
-    """Write a layer; returns the number of its features."""
+def add_layer(database: sqlite3.Connection, layer: FeatureLayer, srs_id: int) -> int:
+    """Write a layer with coordinates in the system ``srs_id``; returns how many features it has."""
     types = "".join(f', "{name}" {kind}' for name, kind in layer.columns.items())
     database.execute(
         f'CREATE TABLE "{layer.name}" (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,'
@@ -298,11 +298,11 @@ def add_layer(database: sqlite3.Connection, layer: FeatureLayer, number: int) ->
     box = (None, None, None, None) if is_empty else (*low, *high)
     database.execute(
         "INSERT INTO gpkg_contents VALUES (?, 'features', ?, ?, ?, ?, ?, ?, ?, ?)",
-        (layer.name, layer.name, layer.about, now_text(), *box, number),
+        (layer.name, layer.name, layer.about, now_text(), *box, srs_id),
     )
     database.execute(
         "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, ?, 0)",
-        (layer.name, layer.geometry, number, layer.has_z),
+        (layer.name, layer.geometry, srs_id, layer.has_z),
     )
     return max(count, 0)  # it may be -1 without rows
 
