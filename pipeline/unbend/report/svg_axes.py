@@ -15,7 +15,7 @@ Range = tuple[float, float]
 """The value at the left or lower end of an axis, and at the other end."""
 
 Tick = tuple[float, str]
-"""A value on an axis, and the text beside it."""
+"""A value on an axis, and the text that is written there."""
 
 DAY_S = 86_400
 STEPS_WITHIN_A_DAY_S = (
