@@ -37,7 +37,7 @@ class UtcReadings:
 
     @property
     def is_set_by_receiver(self) -> bool:
-        """Whether a GNSS receiver sets this clock: its sigma is 0 here, its delay is added later."""
+        """Whether a GNSS receiver sets this clock: its sigma is 0, its delay is added later."""
         return self.sigma_s == 0.0
 
     def counted(self, rows: int) -> str:

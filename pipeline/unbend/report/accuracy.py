@@ -1,6 +1,7 @@
 """The comparison page: the error of each published method against the spherical ray.
 
-Its numbers are rounded, the same on every machine; the picture contains the hash of the text.
+Its numbers are rounded so that they are the same on every machine. The picture contains the hash of
+the text, which shows whether the two belong together.
 """
 
 from __future__ import annotations
@@ -27,37 +28,43 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEIGHTS_M = (500.0, 1000.0, 2000.0, 3000.0, 6000.0, 10_000.0, 15_000.0, 20_000.0)
-"""Of the camera above sea level."""
+"""Heights of the camera above sea level."""
 
-GROUNDS_M = (0.0, 1500.0)
-ANGLES_DEG = (15, 30, 45, 60, 70, 75, 80, 85)
-LIMITS_ARCSEC = (0.1, 1.0)
+GROUNDS_M = (0.0, 1500.0)  # heights of the ground above sea level
+ANGLES_DEG = (15, 30, 45, 60, 70, 75, 80, 85)  # nadir angles of the tables of errors
+LIMITS_ARCSEC = (0.1, 1.0)  # of an error, to which the page states the largest angles
 
-WHOLE_DEG = np.arange(0.0, 86.0)
-CURVE_HEIGHTS = 80  # of the picture, from the lowest to the highest of `HEIGHTS_M`
+WHOLE_DEG = np.arange(0.0, 86.0)  # all nadir angles that are compared
+PICTURE_HEIGHTS = 80  # of the camera, from the lowest to the highest of `HEIGHTS_M`
 
 PLANE_FORMS = ("plane", "saastamoinen1974", "saastamoinen1974_ican")
+"""Methods for a plane earth."""
+
 PLANE_HEIGHTS_M = (1000.0, 3000.0, 10_000.0)
-"""Forms for a plane earth, and the heights for which the page says to which angle they are good."""
+"""Heights of the camera for which the page states to which angle these methods are good."""
 
 BAND_OF_SIZE = {
     "below 0.1": "#d9f0e3",
     "0.1 to 1": "#fdecc8",
     "above 1 arcsec": "#f5c6c0",
 }
-"""Colours of the sizes of the error in the picture."""
+"""Range of the error [arcsec] -> its colour in the picture."""
 
-LIMITS_OF_BANDS = (-7.0, -1.0, 0.0, 7.0)  # log10 of the error [arcsec]
-LEAST_ARCSEC = 1e-6  # has a logarithm, unlike 0
-LINE = "#334155"
-RAISED = "#1d4ed8"
+LIMITS_OF_BANDS = (-7.0, -1.0, 0.0, 7.0)  # log10 of the error [arcsec], around these ranges
+LEAST_ARCSEC = 1e-6  # smaller errors count as this: 0 has no logarithm
+LINE_COLOUR = "#334155"
+RAISED_COLOUR = "#1d4ed8"  # of the line for raised ground
 TICKS_KM = (0.5, 1, 2, 5, 10, 20)
 PANELS_ACROSS = 3
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Comparisons for each ground, at whole degrees to 85: of ``tables``, and closer ``curves``."""
+    """Comparisons of all methods for each of `GROUNDS_M`, at whole degrees up to 85.
+
+    ``tables`` have the heights of the page, ``curves`` those of the picture, which are closer.
+    ``colour_percent`` is by how much R of the default index exceeds that of the comparison.
+    """
 
     atmosphere: str
     tables: tuple[Comparison, ...]
@@ -66,34 +73,34 @@ class Accuracy:
 
 
 def compare_all(atmosphere: str) -> Accuracy:
-    """Every method over every height and ground of the page, in one standard atmosphere.
+    """Compare all methods at all heights and grounds of the page, in one standard atmosphere.
 
-    With the index of 0.589 um, the light that the constants of the papers are for;
-    ``colour_percent`` is what the default index (Ciddor, 0.55 um) adds at 6 km and 45 degrees.
+    The index is that of 0.589 um (Gyer 1996), for which the papers state their constants.
+    ``colour_percent`` compares the default index (Ciddor, 0.55 um) with it, at 6 km and 45 degrees.
     """
     air = standard_atmosphere(atmosphere, index="gyer")
 
     def comparisons(heights: Array) -> tuple[Comparison, ...]:
-        """For each ground, from the heights above it."""
-        made = []
+        """A comparison for each ground, with the camera ``heights`` [m] above it."""
+        by_ground = []
         for ground in GROUNDS_M:
             above = heights[heights > ground]
-            made.append(compare_methods(air, above, ground, WHOLE_DEG * DEGREE))
-        return tuple(made)
+            by_ground.append(compare_methods(air, above, ground, WHOLE_DEG * DEGREE))
+        return tuple(by_ground)
 
     green = refraction_angle(standard_atmosphere(atmosphere), 6000.0, 0.0, 45.0 * DEGREE)
     yellow = refraction_angle(air, 6000.0, 0.0, 45.0 * DEGREE)
     return Accuracy(
         atmosphere=atmosphere,
         tables=comparisons(np.array(HEIGHTS_M)),
-        curves=comparisons(np.geomspace(HEIGHTS_M[0], HEIGHTS_M[-1], CURVE_HEIGHTS)),
+        curves=comparisons(np.geomspace(HEIGHTS_M[0], HEIGHTS_M[-1], PICTURE_HEIGHTS)),
         colour_percent=100.0 * (green / yellow - 1.0),
     )
 
 
 def accuracy_page(accuracy: Accuracy, picture: str) -> str:
-    """The page as Markdown; ``picture`` is the name of the image beside it."""
-    from jinja2 import StrictUndefined, Template  # which no run needs
+    """The page as Markdown; ``picture`` is the name of its image file in the same folder."""
+    from jinja2 import StrictUndefined, Template  # imported here: only the page needs it
 
     text = files("unbend.report").joinpath("data/accuracy.md.j2").read_text("utf-8")
     template = Template(text, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
@@ -116,22 +123,25 @@ def accuracy_page(accuracy: Accuracy, picture: str) -> str:
 
 
 def plane_forms_good_to(comparison: Comparison, limit_arcsec: float) -> list[str]:
-    """To which nadir angle the forms for a plane earth are good, by `PLANE_HEIGHTS_M`."""
-    rows = [comparison.methods.index(name) for name in PLANE_FORMS]
-    columns = [HEIGHTS_M.index(h_c) for h_c in PLANE_HEIGHTS_M]
-    angles = comparison.good_to(limit_arcsec * ARCSEC)[rows][:, columns]
-    worst_form = angles.min(axis=0) / DEGREE
-    return [f"{angle:.0f}°" for angle in worst_form]
+    """The nadir angle up to which all methods for a plane earth keep an error below the limit.
+
+    One text for each of `PLANE_HEIGHTS_M`; ``comparison`` is one of all `HEIGHTS_M`.
+    """
+    methods = [comparison.methods.index(name) for name in PLANE_FORMS]
+    heights = [HEIGHTS_M.index(h_c) for h_c in PLANE_HEIGHTS_M]
+    angles = comparison.good_to(limit_arcsec * ARCSEC)[methods][:, heights]
+    angles_of_worst = angles.min(axis=0) / DEGREE
+    return [f"{angle:.0f}°" for angle in angles_of_worst]
 
 
 def largest_error(comparison: Comparison, name: str) -> float:
-    """Largest error of a method [arcsec]."""
+    """The largest error of a method over all heights and angles [arcsec], without its sign."""
     error_rad = comparison.error_rad[comparison.methods.index(name)]
     return float(np.nanmax(np.abs(error_rad)) / ARCSEC)
 
 
 def largest_at_45(comparison: Comparison, name: str) -> tuple[float, str]:
-    """Largest error of a method at 45 degrees [% of R], and the height where it is."""
+    """The largest error of a method at 45 degrees [% of R], and the height of the camera there."""
     column = nearest_column(comparison, 45.0)
     error = comparison.error_rad[comparison.methods.index(name), :, column]
     percent = 100.0 * np.abs(error / comparison.exact_rad[:, column])
@@ -140,17 +150,20 @@ def largest_at_45(comparison: Comparison, name: str) -> tuple[float, str]:
 
 
 def nearest_column(comparison: Comparison, angle_deg: float) -> int:
-    """The column of a comparison whose nadir angle is nearest."""
+    """The index of the nadir angle of a comparison that is nearest to an angle."""
     return int(np.argmin(np.abs(comparison.nadir_angle_rad - angle_deg * DEGREE)))
 
 
 def kilometres(height_m: float) -> str:
-    """A height as the page writes it."""
+    """A height [m] as a text in kilometres."""
     return f"{height_m / 1e3:g} km"
 
 
 def good_to_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows: to which angle [deg] each method is good, for both limits, by height."""
+    """Heads and rows of a table: the angle [deg] to which each method is good, by height.
+
+    A cell is "angle / angle" for the two `LIMITS_ARCSEC`; empty if the method is not defined.
+    """
     fine_arcsec, coarse_arcsec = LIMITS_ARCSEC
     fine = comparison.good_to(fine_arcsec * ARCSEC) / DEGREE
     coarse = comparison.good_to(coarse_arcsec * ARCSEC) / DEGREE
@@ -169,7 +182,10 @@ def good_to_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
 
 
 def error_table(comparison: Comparison, values: Array) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows: values [rad] in arcsec by height and angle."""
+    """Heads and rows of a table in arcsec, by height and by `ANGLES_DEG`.
+
+    ``values`` (heights, angles) [rad] are errors or refraction angles of the comparison.
+    """
     columns = [nearest_column(comparison, angle) for angle in ANGLES_DEG]
     values_arcsec = values[:, columns] / ARCSEC
     rows = []
@@ -196,12 +212,12 @@ def arcsec_text(value: float) -> str:
 
 
 def text_hash(text: str) -> str:
-    """SHA-256 of the page, which its picture has as description."""
+    """The SHA-256 of the page, which its picture contains as a description."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def print_accuracy(console: Console, accuracy: Accuracy) -> None:
-    """To which angle each method is good, in a terminal."""
+    """Print tables of the angle to which each method is good, in a terminal."""
     for comparison in accuracy.tables:
         console.print(
             f"[bold]ground at {comparison.h_g_m:.0f} m[/bold]: nadir angle to which the error "
@@ -216,7 +232,10 @@ def print_accuracy(console: Console, accuracy: Accuracy) -> None:
 
 
 def comparison_rows(accuracy: Accuracy) -> list[dict[str, Any]]:
-    """To which nadir angle [deg] each method is good, by height and ground; None: not defined."""
+    """Rows with the nadir angle [deg] to which a method is good, by height and ground.
+
+    None if the method is not defined there.
+    """
     rows = []
     for comparison in accuracy.tables:
         angles_by_limit = {}
@@ -230,31 +249,35 @@ def comparison_rows(accuracy: Accuracy) -> list[dict[str, Any]]:
                 "h_g_m": comparison.h_g_m,
             }
             for key, angles_deg in angles_by_limit.items():
-                row[key] = known_number(float(angles_deg[method, height]))
+                row[key] = number_or_none(float(angles_deg[method, height]))
             rows.append(row)
     return rows
 
 
-def known_number(value: float) -> float | None:
-    """A number for JSON, None for NaN."""
+def number_or_none(value: float) -> float | None:
+    """The number, or None for NaN, which JSON lacks."""
     if np.isnan(value):
         return None
     return value
 
 
-def accuracy_png(curves: tuple[Comparison, ...], belongs_to: str) -> bytes:
-    """The picture as PNG; its description is ``belongs_to``, the hash of the page."""
+def accuracy_png(curves: tuple[Comparison, ...], page_hash: str) -> bytes:
+    """The picture as PNG, with ``page_hash`` (see `text_hash`) as its description."""
     from matplotlib import rc_context
 
     with rc_context({"font.size": 8}):
         buffer = io.BytesIO()
-        note = {"Software": None, "Description": belongs_to}
+        note = {"Software": None, "Description": page_hash}
         accuracy_figure(curves).savefig(buffer, format="png", dpi=110, metadata=note)
     return buffer.getvalue()
 
 
 def accuracy_figure(curves: tuple[Comparison, ...]) -> Figure:
-    """Nadir angle against height, a panel a method: bands of one ground, a line of another."""
+    """The picture: a panel for each method, with nadir angle and height of the camera as axes.
+
+    Colours show the size of the error over the first of the two grounds of ``curves``, and a dashed
+    line is where it is 1 arcsec over the second, raised one.
+    """
     from matplotlib.figure import Figure
 
     comparison, raised = curves
@@ -282,22 +305,22 @@ def accuracy_figure(curves: tuple[Comparison, ...]) -> Figure:
 
 
 def legend_handles(raised: Comparison) -> list[Any]:
-    """A patch for each band of the error, and the line of 1 arcsec over raised ground."""
+    """Entries of the legend: a patch for each colour, and the line for raised ground."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     handles: list[Any] = []
     for size, colour in (BAND_OF_SIZE | {"not defined": "white"}).items():
-        patch = Patch(facecolor=colour, edgecolor=LINE, linewidth=0.5, label=size)
+        patch = Patch(facecolor=colour, edgecolor=LINE_COLOUR, linewidth=0.5, label=size)
         handles.append(patch)
     label = f"1 arcsec, ground {raised.h_g_m:.0f} m"
-    line = Line2D([], [], color=RAISED, ls="--", lw=1.2, label=label)
+    line = Line2D([], [], color=RAISED_COLOUR, ls="--", lw=1.2, label=label)
     handles.append(line)
     return handles
 
 
 def draw_method(axis: Axes, comparison: Comparison, raised: Comparison, number: int) -> None:
-    """Bands of the size of the error over one ground, and the line of 1 arcsec over the other."""
+    """Draw the panel of the method with the index ``number``; see `accuracy_figure`."""
     angle_deg = comparison.nadir_angle_rad / DEGREE
     height_km = comparison.h_c_m / 1e3
     size = logarithm_of_error(comparison, number)
@@ -308,7 +331,7 @@ def draw_method(axis: Axes, comparison: Comparison, raised: Comparison, number: 
         height_km,
         size,
         levels=LIMITS_OF_BANDS[1:-1],
-        colors=LINE,
+        colors=LINE_COLOUR,
         linewidths=(0.6, 1.0),
         linestyles="solid",
     )
@@ -324,14 +347,17 @@ def draw_method(axis: Axes, comparison: Comparison, raised: Comparison, number: 
             raised.h_c_m / 1e3,
             size_over_raised,
             levels=[0.0],
-            colors=RAISED,
+            colors=RAISED_COLOUR,
             linewidths=1.2,
             linestyles="dashed",
         )
 
 
 def logarithm_of_error(comparison: Comparison, number: int) -> np.ma.MaskedArray[Any, Any]:
-    """log10 of the size of a method's error [arcsec], masked where it is not defined."""
+    """(heights, angles) log10 of the size of the error [arcsec] of the method ``number``.
+
+    Masked where the method is not defined.
+    """
     error_arcsec = np.abs(comparison.error_rad[number]) / ARCSEC
     size = np.log10(np.maximum(error_arcsec, LEAST_ARCSEC))
     return np.ma.masked_invalid(size)

@@ -1,4 +1,4 @@
-"""The air and refraction angles as text: profiles, one angle, radial tables, tables of papers."""
+"""Prints air and refraction angles: profiles, one angle, radial tables, tables of papers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,11 @@ if TYPE_CHECKING:  # scipy: angles need none
 
 
 def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
-    """One refraction angle in three units, and what it was computed with."""
+    """Print a refraction angle in three units, and the settings that it was computed with.
+
+    ``angle`` has the keys of ``unbend angle --json``; ground_m is None for a ray that does not
+    reach the ground.
+    """
     arcsec = significant(angle["r_c_arcsec"], 5, smallest=1e-6)
     microradians = significant(angle["r_c_urad"], 5, smallest=1e-6)
     texts = summary.report_texts()["angle"]
@@ -56,7 +60,10 @@ def print_angle(console: Console, angle: Mapping[str, Any]) -> None:
 
 
 def print_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
-    """The tables of a paper: values as printed, as published, and exact."""
+    """Print the tables of a paper: its printed values, the published formula, and the exact values.
+
+    A table of ``rows`` has the same table, quantity and unit. ``notes`` follow all tables.
+    """
     keys = ("table", "quantity", "unit")
     columns = columns_of("paper")
     rows_of_table: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
@@ -65,7 +72,7 @@ def print_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequ
         rows_of_table.setdefault(key, []).append(row)
     for (number, quantity, unit), rows_of_key in rows_of_table.items():
         title = shown(f"Table {number}: {quantity} [{unit}]")
-        table = Table(*_at_right(columns), box=None, title=title, title_justify="left")
+        table = Table(*_right_aligned(columns), box=None, title=title, title_justify="left")
         for row in rows_of_key:
             cells = cells_of(row, columns)
             table.add_row(*(cell.rstrip("0").rstrip(".") for cell in cells))
@@ -74,13 +81,16 @@ def print_paper(console: Console, rows: Sequence[Mapping[str, Any]], notes: Sequ
         print_indented(console, shown(note))
 
 
-def _at_right(columns: Columns) -> list[Column]:
-    """Columns of numbers."""
+def _right_aligned(columns: Columns) -> list[Column]:
+    """Columns of a printed table with their heads, aligned to the right."""
     return [Column(shown(column.head), justify="right") for column in columns]
 
 
 def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard: str) -> None:
-    """A profile height by height, the standard's values paler."""
+    """Print a profile, a row a height, with the values of the standard atmosphere paler.
+
+    ``standard`` is the name of that atmosphere.
+    """
     columns = columns_of("profile")
     table = plain_table((*(column.head for column in columns), "source\n"), gap=1)
     table.columns[0].justify = "right"
@@ -96,7 +106,7 @@ def print_profile(console: Console, rows: Sequence[Mapping[str, Any]], standard:
 
 
 def print_air(console: Console, air: FlightAir) -> None:
-    """The effect of the air of a flight on R, its sources and the estimated sensor errors."""
+    """Print the effect of the air of a flight on R, its sources and the estimated sensor errors."""
     from unbend.atmosphere.estimate.sensors import FAULT_TEXTS  # scipy: angles need none
 
     adjustment = air.adjustment
@@ -115,7 +125,7 @@ def print_air(console: Console, air: FlightAir) -> None:
 
 
 def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
-    """The rows of several radial tables, None where there is no value."""
+    """The rows of all radial tables, by the names of their columns; None for NaN."""
     from unbend.tables.exports.correction_tables import radial_columns  # pandas: angles need none
 
     rows = []
@@ -132,7 +142,7 @@ def radial_rows(tables: Sequence[RadialTable]) -> list[dict[str, Any]]:
 
 
 def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
-    """Each radial table with a line about its heights, and what holds for all of them."""
+    """Print radial tables, each below a line about its heights, and remarks on all of them."""
     for table in tables:
         manual = "the Manual's formula has no value"
         if not math.isnan(table.k_manual_rad):
@@ -143,12 +153,13 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
         )
         columns = columns_of("radial")
         if not np.isfinite(table.radius_px).any():
-            columns = columns[:4]  # without those of an image
-        printed = Table(*_at_right(columns), box=None)
+            columns = columns[:4]  # the others need an image
+        printed = Table(*_right_aligned(columns), box=None)
         for row in radial_rows([table]):
             cells = cells_of(row, columns)
-            if not cells[1] and row["status"] != STATUS_NAMES[0]:
-                cells[1] = row["status"]
+            is_ok = row["status"] == STATUS_NAMES[0]
+            if not cells[1] and not is_ok:
+                cells[1] = row["status"]  # in the place of the missing angle
             printed.add_row(*cells)
         console.print(Padding(printed, (0, 0, 1, 0)))
     if any(has_rays_over_the_horizon(table) for table in tables):
@@ -160,6 +171,6 @@ def print_radial(console: Console, tables: Sequence[RadialTable]) -> None:
 
 
 def has_rays_over_the_horizon(table: RadialTable) -> bool:
-    """Whether a ray has an angle, but its straight line never reaches the ground."""
+    """Whether a ray of the table has an angle, but its straight line does not reach the ground."""
     is_defined = np.isfinite(table.r_c_rad)
     return bool(np.isnan(table.shift_ground_m[is_defined]).any())

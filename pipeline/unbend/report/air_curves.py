@@ -1,4 +1,4 @@
-"""The curves of a flight's air against height, as the figures of page and command show them."""
+"""The curves of a flight's air against height, for the figures of the report and of plots."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ TEMPERATURE = 0
 PRESSURE = 1
 VAPOUR_PRESSURE = 2
 AGAINST_STANDARD = 4
-"""Numbers of the columns of `Curves`."""
+"""Indices of the columns of `Curves`."""
 
 QUANTITIES = (
     "temperature T [°C]",
@@ -27,26 +27,28 @@ QUANTITIES = (
     "vapour pressure e [hPa]",
     "refractivity N = (n − 1) 10⁶",
 )
-"""The first four columns of `Curves`; the fifth is N against the standard [%]."""
+"""Labels of the first four columns of `Curves`; the fifth is N against the standard [%]."""
 
 Curves = list[Array]
-"""T [°C], p, e [hPa], N and N against the standard [%] at the heights of a figure."""
+"""Five columns (h,): T [°C], p, e [hPa], N and N against the standard [%] at a figure's heights."""
 
-MAX_SAMPLES = 300  # used ones of a sensor that are drawn, and as many that are not used
+MAX_SAMPLES = 300  # of a sensor that are drawn: of the used ones, and of the others
 LEVELS = 60  # heights of a curve
-MAX_PARTS = 12  # of a flight, with a curve of their own
-MARGIN = 0.06  # of the heights of the flight, above and below them
+MAX_PARTS = 12  # of a flight that are drawn
+MARGIN = 0.06  # above and below the heights of the flight, as a share of their range
 MIN_MARGIN_M = 50.0
-HEIGHTS_OF_NO_FLIGHT_M = (0.0, 10_000.0)
-AXIS_MARGIN = 0.04  # of the values along an axis, to each side
-MIN_AXIS_RANGE = 5.0  # °C, hPa, N or %: less would show noise
+DEFAULT_HEIGHTS_M = (0.0, 10_000.0)  # of a figure if no height of the flight is known
+AXIS_MARGIN = 0.04  # at each end of an axis, as a share of the range of its values
+MIN_AXIS_RANGE = 5.0  # °C, hPa, N or %, for the margin: less would show noise
 
 
 @dataclass(frozen=True, eq=False)
 class SensorCurve:
-    """Some readings of a sensor in the unit of its axis, those that are used and the others.
+    """Readings of a sensor that are drawn, in the unit of the axis ``column`` of `Curves`.
 
-    ``count`` readings have a value and a height; ``count_used`` of them are used.
+    ``values_used`` at the heights ``h_used`` (n,) [m] were used for the estimate of the air, the
+    others were not. ``count`` is the number of all readings with a value and a height, drawn or
+    not, and ``count_used`` that of the used ones among them.
     """
 
     quantity: str
@@ -62,10 +64,10 @@ class SensorCurve:
 
 @dataclass(frozen=True, eq=False)
 class AirCurves:
-    """Curves at heights ``h_m`` above sea level: of the flight, of its parts and of the standard.
+    """Curves at heights ``h_m`` (h,) above sea level: of the flight, its parts and the standard.
 
-    ``flight`` is None where the flight has the standard's air, ``sigma`` where it is not known;
-    ``basis`` names what the air of the flight was estimated from.
+    ``flight`` is None if the standard atmosphere is used for the flight; ``sigma``, its standard
+    deviations, is None if unknown. ``basis`` is the kind of source of the flight's air.
     """
 
     h_m: Array
@@ -83,7 +85,7 @@ class AirCurves:
         return [self.limits_of_column(column) for column in range(len(self.standard))]
 
     def limits_of_column(self, column: int) -> tuple[float, float]:
-        """The range of an axis that shows all that is drawn in it."""
+        """The range of an axis that contains all curves and readings of a column, with a margin."""
         drawn = [self.standard[column]]
         if self.flight is not None:
             drawn.append(self.flight[column])
@@ -101,7 +103,7 @@ class AirCurves:
 
 
 def air_curves(air: FlightAir, samples: AirSamples, heights_m: Array) -> AirCurves:
-    """The curves of a flight's air over the heights that are given and those of its readings."""
+    """The curves of a flight's air over the range of ``heights_m`` and of its readings' heights."""
     adjustment = air.adjustment
     profile = adjustment.profile
     standard = adjustment.standard
@@ -130,7 +132,7 @@ def air_curves(air: FlightAir, samples: AirSamples, heights_m: Array) -> AirCurv
 
 @dataclass(frozen=True, eq=False)
 class _Readings:
-    """The samples of one sensor, and their values in the unit of an axis."""
+    """The samples of one sensor, and their values (n,) in the unit of the axis ``column``."""
 
     quantity: str
     column: int
@@ -139,7 +141,10 @@ class _Readings:
 
 
 def readings_of(samples: AirSamples, profile: Profile) -> Sequence[_Readings]:
-    """Readings as temperature, pressure and vapour pressure; the latter with a profile's T, p."""
+    """The samples of each sensor in the units of the axes: °C and hPa.
+
+    Relative humidity becomes vapour pressure with the temperature and pressure of the profile.
+    """
     readings = []
     thermometer = samples.temperature
     if thermometer is not None:
@@ -160,9 +165,12 @@ def readings_of(samples: AirSamples, profile: Profile) -> Sequence[_Readings]:
 
 
 def heights_of_curves(heights_m: Array, profile: Profile) -> Array:
-    """Heights above sea level [m] around those of a flight, within a profile."""
+    """The heights (60,) [m above sea level] of the curves: from below to above ``heights_m``.
+
+    They are within the limits of the profile; unknown heights (NaN) do not count.
+    """
     known_heights_m = heights_m[np.isfinite(heights_m)]
-    low, high = HEIGHTS_OF_NO_FLIGHT_M
+    low, high = DEFAULT_HEIGHTS_M
     margin = 0.0
     if known_heights_m.size:
         low = known_heights_m.min()
@@ -174,8 +182,8 @@ def heights_of_curves(heights_m: Array, profile: Profile) -> Array:
 
 
 def curves_of(profile: Profile, h_m: Array, n_standard: Array) -> Curves:
-    """The columns of a profile; ``n_standard`` is n - 1 of the standard at the same heights."""
-    n = profile.refractivity(h_m)
+    """The curves of a profile; ``n_standard`` (h,) is n - 1 of the standard at the same heights."""
+    n = profile.refractivity(h_m)  # n - 1
     return [
         profile.temperature(h_m) - ZERO_CELSIUS_K,
         profile.pressure(h_m) / HECTOPASCAL,
@@ -188,7 +196,7 @@ def curves_of(profile: Profile, h_m: Array, n_standard: Array) -> Curves:
 def sigma_curves(
     covariance: ProfileCovariance, profile: Profile, h_m: Array, n_standard: Array
 ) -> Curves:
-    """Standard deviations of the columns of a profile."""
+    """The standard deviations of the curves of a profile, in the units of `Curves`."""
     sigma_n = covariance.sigma_refractivity(h_m)
     return [
         covariance.sigma_temperature(h_m),
@@ -200,7 +208,10 @@ def sigma_curves(
 
 
 def sensor_curve(readings: _Readings, adjustment: Adjustment) -> SensorCurve:
-    """Readings of a sensor that a figure draws, evenly spaced over those that are known."""
+    """The readings of a sensor to draw: some of those used, and some of those not used.
+
+    They are evenly spaced over all that have a value and a height.
+    """
     samples = readings.samples
     reasons = adjustment.rejected.get(readings.quantity, samples.rejected)
     is_used = reasons == Reason.USED

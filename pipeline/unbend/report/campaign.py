@@ -1,4 +1,4 @@
-"""``campaign.html`` and ``campaign.parquet``: a row a mission."""
+"""``campaign.html`` and ``campaign.parquet``: a table of the missions of a campaign."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,11 +20,11 @@ WITH_LOSSES = "done with losses or findings"
 """States of missions that have results."""
 
 Row = Mapping[str, Any]
-"""What the page shows of a mission, by the names of the columns of the table."""
+"""Name of a column of ``campaign.parquet`` -> its value for a mission, None if unknown."""
 
 
 def row_of(manifest: Manifest) -> dict[str, Any]:
-    """The row of a mission that is done."""
+    """The row of a mission that has results."""
     run = manifest.run
     results = manifest.results
     flight = results.flight
@@ -62,17 +62,20 @@ def row_of(manifest: Manifest) -> dict[str, Any]:
 
 
 def middle_of(spread: Sequence[float] | None) -> float | None:
-    """The median of lowest, median and highest; None where nothing is known."""
+    """The median of [lowest, median, highest]; None if the spread is unknown."""
     return None if spread is None else spread[1]
 
 
 def largest(values: Iterable[float | None]) -> float | None:
-    """The largest of the values that are known; None where none is."""
+    """The largest of the values that are not None; None without any."""
     return max((value for value in values if value is not None), default=None)
 
 
 def row_without(name: str, exit_code: int | None, code: str, what: str) -> dict[str, Any]:
-    """The row of a mission that has no results: refused, or not run yet (no exit code)."""
+    """The row of a mission without results: not run yet if ``exit_code`` is None, else refused.
+
+    ``code`` and ``what`` are the code and text of the refusal, or "" and the reason.
+    """
     return dict.fromkeys(COLUMNS) | {
         "mission": name,
         "state": "refused" if exit_code is not None else "not run",
@@ -83,7 +86,7 @@ def row_without(name: str, exit_code: int | None, code: str, what: str) -> dict[
 
 
 def campaign_table(name: str, rows: Sequence[Row]) -> pa.Table:
-    """The rows as a table with units."""
+    """The rows as an Arrow table with units, for a campaign of this name; times become UTC."""
     typed = []
     for row in rows:
         values = dict(row)
@@ -95,21 +98,25 @@ def campaign_table(name: str, rows: Sequence[Row]) -> pa.Table:
 
 
 def campaign_page(name: str, rows: Sequence[Row], digest: str) -> str:
-    """The page as HTML; the same rows give the same bytes. ``digest`` says what it was made of."""
+    """The page of a campaign as HTML; the same rows give the same bytes.
+
+    ``digest`` is the hash of the inputs of the page, which is written into it.
+    """
     from unbend.report.report_page import environment
 
-    placed = [row for row in rows if row["lat_deg"] is not None]
-    # Longitudes in the turn of the first, so that a campaign at 180 degrees is one place.
-    turn = placed[0]["lon_deg"] if placed else 0.0
-    longitudes = [(row["lon_deg"] - turn + 180.0) % 360.0 - 180.0 + turn for row in placed]
+    located = [row for row in rows if row["lat_deg"] is not None]
+    # Longitudes within half a turn of the first: a campaign across 180 degrees is one place.
+    middle = located[0]["lon_deg"] if located else 0.0
+    longitudes = [(row["lon_deg"] - middle + 180.0) % 360.0 - 180.0 + middle for row in located]
     lon = np.array(longitudes)
-    lat = np.array([row["lat_deg"] for row in placed])
-    state = np.array([row["state"] for row in placed])
+    lat = np.array([row["lat_deg"] for row in located])
+    state = np.array([row["state"] for row in located])
     places = {}
-    for of_results in (DONE, WITH_LOSSES):
-        places[of_results] = (lon[state == of_results], lat[state == of_results])
+    for state_of_results in (DONE, WITH_LOSSES):
+        is_in_state = state == state_of_results
+        places[state_of_results] = (lon[is_in_state], lat[is_in_state])
     limits = None
-    if placed:
+    if located:
         limits = (lon.min(), lon.max(), lat.min(), lat.max())
     return (
         environment()

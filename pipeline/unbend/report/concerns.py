@@ -1,4 +1,4 @@
-"""What has to be looked at before the results of a run are used."""
+"""What has to be checked before the results of a run are used."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -15,30 +15,29 @@ LOSSES_OF_ROWS = (
     "POINTS-MISSING",
     "STATIONS-FLAGGED",
 )
-"""Losses of single rows, which have no corrected coordinates: counted apart."""
+"""Losses of single rows without corrected coordinates, which the verdict counts separately."""
 
-OF_SUSPECTS = ("STATIONS-SUSPECT", "STATIONS-HEIGHT", "ORIENTATION-FAR", "ORIENTATION-UP")
-"""Codes of what makes stations suspect."""
+CODES_OF_SUSPECTS = ("STATIONS-SUSPECT", "STATIONS-HEIGHT", "ORIENTATION-FAR", "ORIENTATION-UP")
+"""Codes of evidence against stations, which are then suspect."""
 
-OF_INCOMPLETE_LOGS = ("LOG-DROPOUT", "LOG-GAP", "LOG-LINK-LOSS")
-"""Findings that messages are missing between the rest of a log, which is no mistake."""
+CODES_OF_INCOMPLETE_LOGS = ("LOG-DROPOUT", "LOG-GAP", "LOG-LINK-LOSS")
+"""Findings that messages are missing within a log, which is not a mistake of the mission file."""
 
+PREFIX_OF_LOGS = "LOG-"
+"""Begin of all codes of damaged or incomplete logs."""
 
-OF_LOGS = "LOG-"
-"""Codes of damaged or incomplete logs begin so."""
-
-MOST_REMEDIES = 3  # that the next steps have of losses; the ledger has the others
+MOST_REMEDIES = 3  # of losses in the next steps; the ledger has all
 
 
 class Concern(NamedTuple):
-    """What is to be looked at, in words, and how."""
+    """What is to be checked, as a noun phrase, and the step to do so, as a sentence."""
 
     what: str
     step: str
 
 
 def concerns_of(manifest: Manifest) -> list[Concern]:
-    """What has to be looked at before the results are used, the gravest first."""
+    """What has to be checked before the results are used, the most severe first."""
     return [
         *_mistakes(manifest),
         *_incomplete_log(manifest),
@@ -49,14 +48,14 @@ def concerns_of(manifest: Manifest) -> list[Concern]:
 
 
 def _codes(manifest: Manifest, kind: str, *, without: Sequence[str]) -> list[str]:
-    """The codes of a kind of messages, each once, in the order of the alphabet."""
+    """The sorted codes of all messages of a kind in the ledger, except those of ``without``."""
     codes = {entry.code for entry in manifest.results.ledger if entry.kind == kind}
     return sorted(codes.difference(without))
 
 
 def _mistakes(manifest: Manifest) -> Iterator[Concern]:
-    """Findings: contradictions in the mission file and its inputs."""
-    other_codes = (*OF_INCOMPLETE_LOGS, *LOSSES_OF_ROWS, *OF_SUSPECTS)
+    """The concern about findings, which are contradictions between mission file and inputs."""
+    other_codes = (*CODES_OF_INCOMPLETE_LOGS, *LOSSES_OF_ROWS, *CODES_OF_SUSPECTS)
     codes = _codes(manifest, "finding", without=other_codes)
     if codes:
         names = ", ".join(codes)
@@ -67,9 +66,9 @@ def _mistakes(manifest: Manifest) -> Iterator[Concern]:
 
 
 def _incomplete_log(manifest: Manifest) -> Iterator[Concern]:
-    """Findings that a log lacks messages."""
+    """The concern about findings that messages are missing within a log."""
     codes = _codes(manifest, "finding", without=())
-    names = ", ".join(code for code in codes if code in OF_INCOMPLETE_LOGS)
+    names = ", ".join(code for code in codes if code in CODES_OF_INCOMPLETE_LOGS)
     if names:
         yield Concern(
             f"an incomplete log ({names})",
@@ -78,12 +77,12 @@ def _incomplete_log(manifest: Manifest) -> Iterator[Concern]:
 
 
 def _suspect_stations(manifest: Manifest) -> Iterator[Concern]:
-    """Stations that other evidence contradicts."""
+    """The concern about stations that are contradicted by other evidence."""
     number = manifest.results.stations.get("suspect", 0)
     if not number:
         return
     stations = count(number, "suspect station")
-    reasons = [entry.what for entry in manifest.results.ledger if entry.code in OF_SUSPECTS]
+    reasons = [entry.what for entry in manifest.results.ledger if entry.code in CODES_OF_SUSPECTS]
     more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
     left_out = ""
     if not manifest.sections.stations.use_suspect:
@@ -95,8 +94,8 @@ def _suspect_stations(manifest: Manifest) -> Iterator[Concern]:
 
 
 def _losses(manifest: Manifest) -> Iterator[Concern]:
-    """Losses of more than single rows."""
-    codes = _codes(manifest, "loss", without=(*LOSSES_OF_ROWS, *OF_SUSPECTS))
+    """The concern about losses, except those of single rows and of suspect stations."""
+    codes = _codes(manifest, "loss", without=(*LOSSES_OF_ROWS, *CODES_OF_SUSPECTS))
     if codes:
         names = ", ".join(codes)
         yield Concern(
@@ -106,29 +105,31 @@ def _losses(manifest: Manifest) -> Iterator[Concern]:
 
 
 def steps_of_losses(codes: Sequence[str]) -> list[str]:
-    """What to do about losses: for those of a log as one, for others the remedies of their codes.
+    """Sentences on what to do about losses with these codes.
+
+    Losses of a log have one step together; of other codes, the first three have their remedies.
 
     >>> steps_of_losses(["GEOID-OUTSIDE"])
     ['GEOID-OUTSIDE: Give mission.undulation_m, or a grid that covers the flight.']
     """
     steps = []
-    of_logs = [code for code in codes if code.startswith(OF_LOGS)]
-    if of_logs:
-        names = ", ".join(of_logs)
+    log_codes = [code for code in codes if code.startswith(PREFIX_OF_LOGS)]
+    if log_codes:
+        names = ", ".join(log_codes)
         steps.append(f"Check which data was lost ({names}). If there is a complete file, use it.")
-    others = [code for code in codes if code not in of_logs]
+    other_codes = [code for code in codes if code not in log_codes]
     meaning_of_code = meanings()["codes"]
-    explained = [code for code in others if code in meaning_of_code][:MOST_REMEDIES]
-    for code in explained:
+    with_remedy = [code for code in other_codes if code in meaning_of_code][:MOST_REMEDIES]
+    for code in with_remedy:
         steps.append(f"{code}: {meaning_of_code[code].remedy}")
-    unexplained = [code for code in others if code not in explained]
-    if unexplained:
-        steps.append(f"See the ledger about {', '.join(unexplained)}.")
+    without_remedy = [code for code in other_codes if code not in with_remedy]
+    if without_remedy:
+        steps.append(f"See the ledger about {', '.join(without_remedy)}.")
     return steps
 
 
 def _published_method(manifest: Manifest) -> Iterator[Concern]:
-    """A method that was published, and that only comparisons need."""
+    """The concern about a published method, which is only for comparisons."""
     method = manifest.sections.refraction.method
     if method != "spherical":
         yield Concern(

@@ -1,4 +1,4 @@
-"""The first lines of a report: for whom, by whom, when flown, and in which coordinate system."""
+"""The first lines of a report: client, operator, time of the flight, and coordinate systems."""
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -8,16 +8,16 @@ from unbend.report.figure_data import Flown
 from unbend.tables.manifest.whole import Manifest
 
 PROCESSED = "<!-- processed -->"
-"""Where `unbend report` states when the run was processed: the page of a run has no clock."""
+"""Placeholder in the page of a run, for which `unbend report` inserts the time of processing."""
 
 
 def title_of(manifest: Manifest) -> str:
-    """The title of the report: as the mission file states it, else the name of the mission."""
+    """The title of the report: that of the mission file, else the name of the mission."""
     return manifest.sections.mission.title or manifest.run.mission
 
 
 def cover_rows(manifest: Manifest, flown: Flown) -> Mapping[str, str]:
-    """What the first lines state, by their names."""
+    """Label -> text of the first lines; lines without a text are left out."""
     section = manifest.sections.mission
     rows = {
         "Client": section.client,
@@ -30,7 +30,10 @@ def cover_rows(manifest: Manifest, flown: Flown) -> Mapping[str, str]:
 
 
 def flown_on(manifest: Manifest) -> str:
-    """The day and the times of the first and last exposure, in the stated time zone and in UTC."""
+    """The day and the times of the first and last exposure, in the stated time zone and in UTC.
+
+    If they are unknown, the stated date.
+    """
     flight = manifest.results.flight
     if not flight.begin_utc or not flight.end_utc:
         date = stated_date(manifest)
@@ -46,13 +49,13 @@ def flown_on(manifest: Manifest) -> str:
 
 
 def stated_date(manifest: Manifest) -> str | None:
-    """The date that the mission file states of the orientations, else of the mission."""
+    """The date in the mission file: that of the orientations, else of the mission, or None."""
     orientation = manifest.sections.stations.orientation or {}
     return orientation.get("date") or manifest.sections.mission.date
 
 
 def span(begin: datetime, end: datetime) -> str:
-    """A day with two times, or two days with their times.
+    """The begin and end of a flight as a text; the day only once if it is the same.
 
     >>> span(datetime(2025, 6, 12, 23, 50), datetime(2025, 6, 13, 0, 10))
     '2025-06-12, 23:50:00 to 2025-06-13, 00:10:00'
@@ -63,7 +66,7 @@ def span(begin: datetime, end: datetime) -> str:
 
 
 def coordinate_systems(flown: Flown) -> str:
-    """What the coordinates of the results and of the map are in."""
+    """The coordinate systems of the results and of the map, as a text."""
     text = "WGS 84 (EPSG:4979); heights above mean sea level and above the ellipsoid"
     if flown.grid is not None:
         text += f"; map grid {flown.grid.name.removeprefix('WGS 84 / ')} ({flown.grid.identifier})"
@@ -71,7 +74,7 @@ def coordinate_systems(flown: Flown) -> str:
 
 
 def paragraphs(text: str | None) -> list[str]:
-    """The paragraphs of a free text, which empty lines part.
+    """The paragraphs of a free text, which are separated by empty lines; each in one line.
 
     >>> paragraphs("First flight.\\n\\nThe second\\nwas better.")
     ['First flight.', 'The second was better.']
@@ -85,7 +88,7 @@ def paragraphs(text: str | None) -> list[str]:
 
 
 def time_of_processing(time_s: float, zone: str | None) -> str:
-    """A time [Unix s] as the report states it, in a time zone.
+    """A time [Unix s] as a text to the minute, in a time zone; None: UTC.
 
     >>> time_of_processing(0.0, None), time_of_processing(0.0, "Europe/Zurich")
     ('1970-01-01 00:00 UTC', '1970-01-01 01:00 Europe/Zurich')
@@ -97,13 +100,13 @@ def time_of_processing(time_s: float, zone: str | None) -> str:
 
 
 def css_text(text: str) -> str:
-    """A text as a string of CSS in a page of HTML: every character that could end it is escaped.
+    """A text as a string literal of CSS within HTML; all characters that could end it are escaped.
 
     >>> print(css_text('A "B" </style> é'))
     "A \\22 B\\22  \\3c /style\\3e  é"
     """
-    shown = ""
+    escaped = ""
     for character in text:
         is_plain = character.isalnum() or character in " .,;:-_()/+"
-        shown += character if is_plain else f"\\{ord(character):x} "
-    return f'"{shown}"'
+        escaped += character if is_plain else f"\\{ord(character):x} "
+    return f'"{escaped}"'

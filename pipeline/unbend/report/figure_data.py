@@ -1,4 +1,4 @@
-"""The data of the report's figures that no manifest holds: a flight, its places and its air."""
+"""The data of the report's figures that are not in the manifest: exposures, track and air."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -24,32 +24,34 @@ from unbend.units import DEGREE, Array, Integers, Names, evenly_spaced
 Limits = tuple[float, float, float, float]
 """West, east, south, north [deg]."""
 
-MAX_EXPOSURES = 1500  # of all, and as many of those that are not ok
+MAX_EXPOSURES = 1500  # drawn of all, and as many again of those that are not ok
 MAX_FOOTPRINTS = 250
 MAX_TRACK_POINTS = 800
 
-RELIEF_NODES = 220  # of the longer side
-RELIEF_MARGIN_DEG = 2e-4
+RELIEF_NODES = 220  # along the longer side of the relief
+RELIEF_MARGIN_DEG = 2e-4  # 22 m: also a single place gets a relief
 METRES_A_DEGREE = 111_200.0  # of a great circle
-LEAST_SLOPE = 1e-3  # of a relief with contrast: a plain stays grey
-MAX_TILES = 300  # each is read and decoded, some milliseconds
+LEAST_SLOPE = 1e-3  # that gets the full contrast: a plain stays grey
+MAX_TILES = 300  # of the elevation model: each takes some milliseconds to read and decode
 
 WIDEST_GRID_DEG = 6.0  # of a map with a metric grid: the width of a UTM zone
-LONGEST_GAP = 5.0  # of the usual time between two exposures, within a strip
+LONGEST_GAP = 5.0  # times the median time between exposures: a longer gap ends a strip
 
 STATES = ("ok", "suspect", "unusable")
-"""How an exposure is shown."""
+"""States of exposures in the figures."""
 
-HEIGHT_MARGIN = 0.05  # of the heights of a flight, above and below them
-MIN_HEIGHT_RANGE_M = 10.0
+HEIGHT_MARGIN = 0.05  # above and below the heights of a flight, as a share of their range
+MIN_HEIGHT_RANGE_M = 10.0  # for the margin
 
 
 @dataclass(frozen=True, eq=False)
 class FlightTimes:
-    """Times of a flight along an axis: seconds after ``begin_ns`` [Unix ns], from 0 to ``span``.
+    """Coordinates of a figure of heights over time: seconds after ``begin_ns``, up to ``span``.
 
-    Where nothing has a time, ``begin_ns`` is None and exposures are numbered. ``heights_m`` is the
-    range of heights above sea level, None where none is known.
+    ``of_exposures`` (n,) [s] are NaN for exposures without a time, ``of_track`` (m,) [s] are those
+    of the track. If nothing has a time, ``begin_ns`` [Unix ns] is None, and the coordinates are
+    numbers of exposures instead. ``heights_m`` is the range of heights above sea level, None if no
+    height is known.
     """
 
     is_utc: bool
@@ -62,30 +64,37 @@ class FlightTimes:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """What the map, the heights and the air of a page show; thinned, longitudes without a jump.
+    """The data of the map, the heights and the air of a page; large flights are thinned.
 
-    ``exposures`` and ``track`` are columns (n,) and (m,): time_ns, lat_deg, lon_deg, h_msl_m; of
-    the exposures also image, camera, status, ground_m, and ``shown_as`` ok, suspect or unusable, of
-    all of which ``counts`` has the numbers. ``footprints`` (k, 4, 2) longitude, latitude [deg] by
-    camera, of ``seen`` that could be drawn; ``limits_deg`` those of all places. ``relief`` : limits
-    and light (rows, columns) from -1 to 1, NaN where unknown. ``grid`` : the metric grid of the
-    map.
+    Longitudes do not jump at the 180th meridian.
+
+    exposures : columns (n,) time_ns, lat_deg, lon_deg, h_msl_m, image, camera, status, ground_m,
+        and shown_as: ok, suspect or unusable.
+    counts : state of `STATES` -> the number of all exposures, drawn or not.
+    track : columns (m,) time_ns, lat_deg, lon_deg, h_msl_m.
+    footprints : camera -> corners (k, 4, 2), longitude and latitude [deg].
+    footprint_count : of the exposures with a footprint, drawn or not.
+    limits_deg : of all places; None without any.
+    relief : its limits, and the light (rows, columns) from -1 to 1, NaN where unknown.
+    air : the curves of the air.
+    from_boot : whether times count from a boot, without UTC.
+    grid : the metric grid of the map, None on a large map.
     """
 
     exposures: Mapping[str, NDArray[Any]]
     counts: Mapping[str, int]
     track: Mapping[str, NDArray[Any]]
     footprints: Mapping[str, Array]
-    seen: int
+    footprint_count: int
     limits_deg: Limits | None
     relief: tuple[Limits, Array] | None
     air: AirCurves
-    from_boot: bool = False  # whether times count from a boot, without UTC
+    from_boot: bool = False
     grid: MapGrid | None = None
 
     @cached_property
     def time(self) -> FlightTimes:
-        """When the exposures and the track were, and between which heights."""
+        """The coordinates of the figure of heights over time."""
         time_ns = self.exposures["time_ns"]
         is_timed = time_ns != NO_TIME
         timed_ns = np.concatenate([time_ns[is_timed], self.track["time_ns"]])
@@ -109,7 +118,10 @@ class Flown:
         )
 
     def heights(self) -> tuple[float, float] | None:
-        """The range of heights above sea level [m] of exposures, ground and track."""
+        """The range of heights above sea level [m] of exposures, ground and track, with a margin.
+
+        None if no height is known.
+        """
         heights = np.concatenate(
             [self.exposures["h_msl_m"], self.exposures["ground_m"], self.track["h_msl_m"]]
         )
@@ -122,16 +134,19 @@ class Flown:
 
 @dataclass(frozen=True, eq=False)
 class CameraTrack:
-    """The exposures of a camera in the order of their times: (n,) columns, NaN between strips."""
+    """The exposures of a camera in the order of time, as columns (n,) with NaN between strips."""
 
     lon_deg: Array
     lat_deg: Array
     h_msl_m: Array
-    time: Array  # as `Flown.time` has it
+    time: Array  # as `FlightTimes.of_exposures`
 
 
 def track_of_camera(flown: Flown, camera: str) -> CameraTrack:
-    """The usable exposures of a camera as a line, with a gap after each strip."""
+    """The exposures of a camera as a line with a gap after each strip; unusable ones are left out.
+
+    A strip ends with a gap of more than `LONGEST_GAP` times the median time between exposures.
+    """
     exposures = flown.exposures
     is_shown = (exposures["camera"] == camera) & (exposures["shown_as"] != "unusable")
     rows = np.flatnonzero(is_shown & np.isfinite(exposures["lat_deg"]))
@@ -164,7 +179,12 @@ def flown_of(
     radius_m: float | None,
     terrain: ElevationModel | None,
 ) -> Flown:
-    """What a page shows of a flight; ``ground_m`` (s,) below each station, NaN for the median."""
+    """The data of a page's figures from the stations, the air and the track of a flight.
+
+    ground_m : (s,) height of the ground below each station [m]; NaN is replaced by the median.
+    radius_m : of the earth, for footprints, or None; see `ground_corners`.
+    terrain : the elevation model for the relief, or None.
+    """
     if np.isfinite(ground_m).any():
         ground_m = np.where(np.isfinite(ground_m), ground_m, np.nanmedian(ground_m))
     shown_as = states_of(stations)
@@ -172,8 +192,8 @@ def flown_of(
     lon_deg, path_lon_deg = continuous_longitudes(stations.lon_rad, path.longitude_rad)
     lat_deg = stations.lat_rad / DEGREE
     path_lat_deg = path.latitude_rad / DEGREE
-    seen = np.flatnonzero(stations.ok & np.isfinite(ground_m))
-    drawn = seen[evenly_spaced(seen.size, MAX_FOOTPRINTS)]
+    with_footprint = np.flatnonzero(stations.ok & np.isfinite(ground_m))
+    drawn = with_footprint[evenly_spaced(with_footprint.size, MAX_FOOTPRINTS)]
     corners = ground_corners(stations.rows(drawn), cameras, ground_m[drawn], radius_m)
     limits = limits_of_places(
         np.concatenate([lon_deg, path_lon_deg, corners[..., 0].ravel()]),
@@ -206,7 +226,7 @@ def flown_of(
             "h_msl_m": path.h_msl_m,
         },
         footprints=by_camera(corners, stations.camera[drawn], cameras),
-        seen=int(seen.size),
+        footprint_count=int(with_footprint.size),
         limits_deg=limits,
         relief=relief,
         air=air_curves(air, samples, np.concatenate([stations.h_msl_m, ground_m])),
@@ -216,13 +236,14 @@ def flown_of(
 
 
 def states_of(stations: Stations) -> Names:
-    """(s,) how each exposure is shown: ok, suspect or unusable."""
+    """(s,) the state of each station in the figures: ok, suspect or unusable."""
     is_suspect = stations.status == SUSPECT
-    return np.where(is_suspect, "suspect", np.where(stations.ok, "ok", "unusable"))
+    ok_or_unusable = np.where(stations.ok, "ok", "unusable")
+    return np.where(is_suspect, "suspect", ok_or_unusable)
 
 
 def counts_of_states(stations: Stations, shown_as: Names) -> dict[str, int]:
-    """How many exposures are shown in each way; images without an exposure do not count."""
+    """The number of exposures in each state; images without an exposure do not count."""
     is_exposed = stations.status != UNMATCHED
     counts = {}
     for state in STATES:
@@ -231,7 +252,10 @@ def counts_of_states(stations: Stations, shown_as: Names) -> dict[str, int]:
 
 
 def rows_shown(shown_as: Names) -> Integers:
-    """Rows of a table: some of all exposures, and some of those that are not ok."""
+    """Indices of the exposures to draw: some of all, and some of those that are not ok.
+
+    ``shown_as`` (s,) are their states; the indices are in increasing order.
+    """
     flagged = np.flatnonzero(shown_as != "ok")
     some_of_all = evenly_spaced(shown_as.size, MAX_EXPOSURES)
     some_flagged = flagged[evenly_spaced(flagged.size, MAX_EXPOSURES)]
@@ -239,7 +263,7 @@ def rows_shown(shown_as: Names) -> Integers:
 
 
 def thinned(track: LoggedPath, most: int) -> LoggedPath:
-    """At most so many points of a track, evenly spaced."""
+    """At most ``most`` points of a track, evenly spaced in their order."""
     rows = evenly_spaced(track.time_ns.size, most)
     return LoggedPath(
         time_ns=track.time_ns[rows],
@@ -250,7 +274,10 @@ def thinned(track: LoggedPath, most: int) -> LoggedPath:
 
 
 def continuous_longitudes(stations_rad: Array, track_rad: Array) -> tuple[Array, Array]:
-    """Longitudes [deg] of stations and track without a jump at the 180th meridian."""
+    """Longitudes of stations and of the track in degrees, without a jump at the 180th meridian.
+
+    They are within half a turn of the first known one, so they can exceed 180 degrees.
+    """
     lon_rad = np.concatenate([stations_rad, track_rad])
     known_rad = lon_rad[np.isfinite(lon_rad)]
     if known_rad.size:
@@ -260,7 +287,7 @@ def continuous_longitudes(stations_rad: Array, track_rad: Array) -> tuple[Array,
 
 
 def limits_of_places(lon_deg: Array, lat_deg: Array) -> Limits | None:
-    """What known places (n,) extend over; None where there is none."""
+    """The limits [deg] of places (n,), without those that are NaN; None without any."""
     is_known = np.isfinite(lon_deg) & np.isfinite(lat_deg)
     if not is_known.any():
         return None
@@ -274,7 +301,10 @@ def limits_of_places(lon_deg: Array, lat_deg: Array) -> Limits | None:
 
 
 def by_camera(corners: Array, camera_of_image: Names, cameras: Iterable[str]) -> dict[str, Array]:
-    """Footprints (k, 4, 2) of each camera, of those all corners of which are known."""
+    """Camera -> its footprints (k, 4, 2); those with an unknown corner are left out.
+
+    ``corners`` (n, 4, 2) and ``camera_of_image`` (n,) are those of images.
+    """
     is_whole = np.isfinite(corners).all(axis=(1, 2))
     footprints = {}
     for name in cameras:
@@ -283,7 +313,7 @@ def by_camera(corners: Array, camera_of_image: Names, cameras: Iterable[str]) ->
 
 
 def metric_grid(limits_deg: Limits) -> MapGrid | None:
-    """The UTM zone of the middle of a map; None near the poles, and on a map of several zones."""
+    """The UTM grid of the middle of a map; None near the poles, and for a map wider than a zone."""
     west, east = limits_deg[:2]
     south, north = limits_deg[2:]
     if max(east - west, north - south) > WIDEST_GRID_DEG:
@@ -294,9 +324,10 @@ def metric_grid(limits_deg: Limits) -> MapGrid | None:
 
 
 def relief_of(terrain: ElevationModel, limits_deg: Limits) -> tuple[Limits, Array] | None:
-    """Light from the north-west on a model within limits, and these with a margin.
+    """The limits of a map with a margin, and the light (rows, columns) on the terrain there.
 
-    None where it has no heights there, or is so fine that drawing it would cost more than the run.
+    None if the model has no heights there, or is so fine that reading it would take longer than the
+    run.
     """
     west = limits_deg[0] - RELIEF_MARGIN_DEG
     east = limits_deg[1] + RELIEF_MARGIN_DEG
@@ -319,11 +350,12 @@ def relief_of(terrain: ElevationModel, limits_deg: Limits) -> tuple[Limits, Arra
 
 
 def light_on(heights_m: Array, row_m: float, column_m: float) -> Array | None:
-    """Light from the north-west, -1 to 1, on heights (rows, columns) at distances [m].
+    """Light from the north-west, -1 (shade) to 1, on heights (rows, columns); None if unknown.
 
-    Slopes are exaggerated so that the steepest tenth has nearly the full contrast.
+    ``row_m`` and ``column_m`` are the distances of rows and columns. Slopes are exaggerated so that
+    the steepest tenth of the terrain has nearly the full contrast.
     """
-    down, right = np.gradient(heights_m, row_m, column_m)
+    down, right = np.gradient(heights_m, row_m, column_m)  # rise to the south and to the east
     steepness = np.hypot(down, right)
     if not np.isfinite(steepness).any():
         return None
@@ -334,7 +366,10 @@ def light_on(heights_m: Array, row_m: float, column_m: float) -> Array | None:
 def heights_of_map(
     terrain: ElevationModel, limits_deg: Limits, shape: tuple[int, int]
 ) -> Array | None:
-    """Heights (rows, columns) of a model in the cells of a map; None where it is too fine."""
+    """Heights (rows, columns) of a model at the centres of the cells of a map, from the north-west.
+
+    ``shape`` is (rows, columns). None if that needs more than `MAX_TILES` tiles of the model.
+    """
     west, east = limits_deg[:2]
     south, north = limits_deg[2:]
     rows, columns = shape
@@ -349,7 +384,7 @@ def heights_of_map(
 
 
 def utc(time_ns: int) -> str:
-    """A time [Unix ns] to the second; a dash where there is none.
+    """A time [Unix ns] as a text in UTC, to the second; a dash for `NO_TIME`.
 
     >>> utc(1_500_000_000)
     '1970-01-01 00:00:01'

@@ -9,11 +9,11 @@ from unbend.report.console import print_indented, print_labelled, print_rows, sh
 from unbend.report.words import count
 
 MAX_REPORTS = 12  # METARs that are printed
-MAX_LEVELS = 40  # that are named one by one
+MAX_LEVELS = 40  # of a model that are all printed
 
 
 def print_model(console: Console, contents: Mapping[str, Any], name: str) -> None:
-    """What ``unbend inspect`` prints of a weather model's file: time, area, levels, variables."""
+    """Print the contents of a weather model's file, by the keys of `contents_of`."""
     console.print(f"[bold]{shown(name)}[/bold]: weather model, {contents['format']}")
     lines = [("grid", contents["grid"] or "no temperature on levels")]
     if contents["grid"] is not None:
@@ -37,7 +37,7 @@ def print_model(console: Console, contents: Mapping[str, Any], name: str) -> Non
 
 
 def model_times(contents: Mapping[str, Any]) -> str:
-    """First and last time of a model's file, and how far it forecasts."""
+    """The number of times of a model's file, the first and last, and the longest forecast."""
     times = contents["times_utc"]
     text = f"{count(len(times), 'time')}, {joined_ends(times[0], times[-1])} UTC"
     longest_h = max(contents["lead_h"])
@@ -47,7 +47,7 @@ def model_times(contents: Mapping[str, Any]) -> str:
 
 
 def model_levels(contents: Mapping[str, Any]) -> str:
-    """Levels of a model's file; each of them where they are few."""
+    """The number, kind and range of the levels of a model's file; few levels are all listed."""
     levels = contents["levels"]
     kind = contents["level_kind"]
     unit = "" if kind == "model" else " hPa"
@@ -58,7 +58,7 @@ def model_levels(contents: Mapping[str, Any]) -> str:
 
 
 def joined_ends(first_utc: str, last_utc: str) -> str:
-    """First and last time, or the one time that both are.
+    """The first and the last time as a text; a single one if they are equal.
 
     >>> joined_ends("2025-06-12T09:00", "2025-06-12T12:00")
     '2025-06-12 09:00 to 2025-06-12 12:00'
@@ -68,7 +68,7 @@ def joined_ends(first_utc: str, last_utc: str) -> str:
 
 
 def print_sounding(console: Console, reading: Mapping[str, Any], name: str) -> None:
-    """What ``unbend inspect`` prints of a sounding: how its first ascent is read."""
+    """Print the contents of a sounding, by the keys of `reading_of_sounding`."""
     console.print(f"[bold]{shown(name)}[/bold]: sounding, read as {reading['format']}")
     time = "not stated: atmosphere.soundings needs time_utc"
     if reading["first_utc"] is not None:
@@ -100,7 +100,7 @@ def print_sounding(console: Console, reading: Mapping[str, Any], name: str) -> N
 
 
 def span_text(limits: Sequence[float] | None, unit: str) -> str:
-    """Lowest to highest value, with a unit."""
+    """The lowest and highest value as a text with a unit; "unknown" for None."""
     if limits is None:
         return "unknown"
     low, high = limits
@@ -108,7 +108,7 @@ def span_text(limits: Sequence[float] | None, unit: str) -> str:
 
 
 def print_metars(console: Console, reports: Sequence[Mapping[str, Any]], name: str) -> None:
-    """What ``unbend inspect`` prints of a text of METARs: what each report states."""
+    """Print the contents of METARs, by the keys of `reading_of_report`; at least one report."""
     console.print(f"[bold]{shown(name)}[/bold]: {count(len(reports), 'METAR')}")
     rows = []
     for report in reports[:MAX_REPORTS]:

@@ -1,4 +1,4 @@
-"""Sentences on the air in lenses: what it leaves in the coordinates, and what is uncertain."""
+"""Sentences on the air in lenses: its effects on the coordinates, and their uncertainty."""
 
 from collections.abc import Iterable, Mapping
 
@@ -6,55 +6,55 @@ from unbend.report.words import length, pixels, with_sigma
 from unbend.tables.manifest.results import CameraAirRecord, ResultsRecord
 
 SMALLEST_MEASURABLE_PX = 0.05
-"""A correction that stays below it everywhere cannot be seen in image measurements."""
+"""A correction that is smaller everywhere cannot be seen in image measurements."""
 
 
 def lens_left_in(results: ResultsRecord) -> str:
-    """What the air in lenses leaves in the coordinates, in a sentence.
+    """A sentence on the effect of the air in lenses that is not corrected, with the largest size.
 
-    Empty where the mission file states the air of the calibration, and where nobody can measure it.
+    Empty if it is corrected in all cameras, or too small to be measured.
     """
-    left = uncorrected_lenses(results)
-    if not left:
+    lenses = uncorrected_lenses(results)
+    if not lenses:
         return ""
-    largest = max(left.values(), key=lambda lens: abs(lens.lens_ppm))
+    largest = max(lenses.values(), key=lambda lens: abs(lens.lens_ppm))
     size = with_sigma(abs(largest.lens_ppm), largest.lens_sigma_ppm)
     of_height = ""
     if largest.lens_height_m is not None:
         of_height = f", {length(largest.lens_height_m)} of height"
-    if any(not lens.calibrated_in_flight for lens in left.values()):
-        since = "compared with a calibration at 20 °C and 1013 hPa"
+    if any(not lens.calibrated_in_flight for lens in lenses.values()):
+        condition = "compared with a calibration at 20 °C and 1013 hPa"
     else:
-        since = "unless the calibration was flown at this height"
+        condition = "unless the calibration was flown at this height"
     return (
-        f"Not corrected for the air in the lens of {', '.join(left)}: about {size} ppm of the "
-        f"principal distance{of_height}, {since}."
+        f"Not corrected for the air in the lens of {', '.join(lenses)}: about {size} ppm of the "
+        f"principal distance{of_height}, {condition}."
     )
 
 
 def uncorrected_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
-    """The cameras whose air in the lens is not removed, where that can be measured."""
-    left = {}
+    """The cameras without a correction for the air in the lens, if its effect is measurable."""
+    lenses = {}
     for name, camera in results.air_at_cameras.items():
         if not camera.lens_removed and camera.lens_edge_px >= SMALLEST_MEASURABLE_PX:
-            left[name] = camera
-    return left
+            lenses[name] = camera
+    return lenses
 
 
-def reference_step(left: Mapping[str, CameraAirRecord]) -> str:
-    """What to state of lenses that are not corrected for the air in them."""
-    keys = ", ".join(f"cameras.{name}" for name in left)
+def reference_step(lenses: Mapping[str, CameraAirRecord]) -> str:
+    """The next step for uncorrected lenses: to state the air of their calibration."""
+    keys = ", ".join(f"cameras.{name}" for name in lenses)
     step = (
         "State the air of the calibration, to remove the effect of the air in the lens: "
         f"principal_distance: {{reference: {{pressure_hpa, temperature_c}}}} ({keys})."
     )
-    if any(lens.calibrated_in_flight for lens in left.values()):
+    if any(lens.calibrated_in_flight for lens in lenses.values()):
         step += " For a calibration in flight, that is the air in the lens during its flight."
     return step
 
 
 def typical_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
-    """The cameras whose air in the lens is removed as that of a typical lens, of some sigma."""
+    """The cameras with a correction for the air in the lens as in a typical lens, with a sigma."""
     typical = {}
     for name, camera in results.air_at_cameras.items():
         if camera.lens_removed and camera.lens_sigma_ppm:
@@ -63,7 +63,10 @@ def typical_lenses(results: ResultsRecord) -> dict[str, CameraAirRecord]:
 
 
 def limits_of_lenses(results: ResultsRecord) -> list[tuple[str, str]]:
-    """What lenses that are corrected as typical ones leave uncertain, where it can be measured."""
+    """A sentence on the uncertainty of lenses corrected as typical ones, and a step against it.
+
+    Empty without such lenses, or if the uncertainty is too small to be measured.
+    """
     lenses = typical_lenses(results)
     if not lenses:
         return []
@@ -85,14 +88,14 @@ def limits_of_lenses(results: ResultsRecord) -> list[tuple[str, str]]:
 
 
 def _sigma_at_the_edge_px(camera: CameraAirRecord) -> float:
-    """The standard deviation [px] of the lens's effect at the edge of the image."""
+    """The standard deviation [px] of the lens's effect at the edge of the image; 0 if unknown."""
     if not camera.lens_ppm or camera.lens_sigma_ppm is None:
         return 0.0
     return camera.lens_edge_px * camera.lens_sigma_ppm / abs(camera.lens_ppm)
 
 
 def lens_step(lenses: Iterable[str]) -> str:
-    """What to state of lenses that are corrected as typical ones, whose part is the largest."""
+    """The next step for lenses corrected as typical ones: to state their measured change."""
     keys = ", ".join(f"cameras.{name}.principal_distance" for name in lenses)
     return (
         "If the change of the lens by the air was measured, state dc_dp_px_per_hpa and "

@@ -1,4 +1,4 @@
-"""``report.html``, a page a mission: no scripts, no network."""
+"""``report.html``, the page of a mission, without scripts and without access to a network."""
 
 import base64
 import hashlib
@@ -28,17 +28,21 @@ from unbend.tables.manifest.results import CameraShifts, Quantiles, SigmaRecord
 from unbend.tables.manifest.whole import Manifest
 from unbend.units import Array, round_step
 
-MAX_CAMERAS = 8  # with figures of their own; the manifest has the others too
+MAX_CAMERAS = 8  # with separate figures; further cameras are only in the manifest
 
 DATA = files("unbend.report") / "data"
 
-LIGHT_GREY = 140.0  # of a level place
-LIGHT_CONTRAST = 80.0  # between a level place and the brightest
-LIGHT_OPACITY = 120.0  # of 255: map lines stay visible
+# Of the relief, from 0 to 255.
+LIGHT_GREY = 140.0  # of level ground
+LIGHT_CONTRAST = 80.0  # between level ground and the brightest slope
+LIGHT_OPACITY = 120.0  # map lines below it stay visible
 
 
 def light_png(light: Array) -> str:
-    """Light (rows, columns) from -1 (shade) to 1 as greys, clear where unknown, as data URL."""
+    """Light (rows, columns) from -1 (shade) to 1 as a PNG of greys, in a data URL.
+
+    Pixels with NaN are transparent.
+    """
     from PIL import Image
 
     grey = np.nan_to_num(LIGHT_GREY + LIGHT_CONTRAST * light)
@@ -51,7 +55,7 @@ def light_png(light: Array) -> str:
 
 
 def write_report(path: Path, manifest: Manifest, flown: Flown) -> None:
-    """Write the report of a run. The same manifest and flight give the same bytes."""
+    """Write the report of a run to a file. The same manifest and flight give the same bytes."""
     path.write_text(report_page(manifest, flown), encoding="utf-8")
 
 
@@ -64,8 +68,9 @@ def report_page(manifest: Manifest, flown: Flown) -> str:
     cameras = dict(islice(results.correction.cameras.items(), MAX_CAMERAS))
     budget = {}
     for name, camera in cameras.items():
-        if parts := results.sigma_budget.get(name):
-            budget[name] = {"shift": size_of_shift(camera), **parts}
+        parts = results.sigma_budget.get(name)
+        if parts:
+            budget[name] = {"shift": quantiles_of_shift(camera), **parts}
     relief = None
     if flown.relief is not None:
         _, light = flown.relief
@@ -91,26 +96,29 @@ def report_page(manifest: Manifest, flown: Flown) -> str:
     )
 
 
-def size_of_shift(camera: CameraShifts) -> SigmaRecord:
-    """Median and 95 % of a camera's correction, to stand beside its standard deviations."""
+def quantiles_of_shift(camera: CameraShifts) -> SigmaRecord:
+    """Median and 95 % of a camera's correction, as a row of the table of standard deviations."""
     pixels = camera.shift_px
     metres = camera.shift_ground_m
     return SigmaRecord(Quantiles(pixels.median, pixels.p95), Quantiles(metres.median, metres.p95))
 
 
 class ParsedTemplates(FileSystemBytecodeCache):
-    """Parsed templates in a folder; where it has gone meanwhile they are parsed again."""
+    """A cache of parsed templates in a folder; without effect if the folder was deleted."""
 
     def dump_bytecode(self, bucket: Bucket) -> None:
-        """Keep a parsed template."""
+        """Write a parsed template to the folder, if that is possible."""
         with suppress(OSError):
             super().dump_bytecode(bucket)
 
 
 @lru_cache(maxsize=1)
 def environment() -> Environment:
-    """Templates of the package. Values are escaped, and unseen characters written out."""
-    made = Environment(
+    """The jinja environment of the package's templates, with their filters and globals.
+
+    Values are escaped for HTML, and invisible characters are replaced by escapes.
+    """
+    templates = Environment(
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -120,7 +128,7 @@ def environment() -> Environment:
         loader=FunctionLoader(lambda name: (DATA / name).read_text("utf-8")),
         finalize=shown_value,
     )
-    made.filters |= {
+    templates.filters |= {
         "size": len,
         "code": marked_code,
         "metres": words.length,
@@ -130,7 +138,7 @@ def environment() -> Environment:
         "with_sigma": words.with_sigma,
         "css_text": css_text,
     }
-    made.globals |= {
+    templates.globals |= {
         "Axes": Axes,
         "arrows": arrows,
         "field_arrows": field_arrows,
@@ -148,11 +156,11 @@ def environment() -> Environment:
         "texts": summary.report_texts(),
         "style": Markup((DATA / "report.css").read_text("utf-8")),
     }
-    return made
+    return templates
 
 
 def template_cache() -> ParsedTemplates | None:
-    """Parsed templates of this very code; None where nothing can be kept."""
+    """The cache of templates parsed for the present code; None if its folder cannot be written."""
     folder = parsed_templates_folder()
     code = [path.read_bytes() for path in sorted(Path(str(files("unbend.report"))).rglob("*.py"))]
     version = hashlib.sha256(repr([jinja2.__version__, code]).encode()).hexdigest()
@@ -164,20 +172,20 @@ def template_cache() -> ParsedTemplates | None:
 
 
 def shown_value(value: object) -> object:
-    """A value of a template, with unseen characters written out; markup as it is."""
+    """A value as a text for a template, with invisible characters escaped; markup is unchanged."""
     if isinstance(value, Markup):
         return value
     return words.visible(str(value))
 
 
 def css_text(text: str) -> Markup:
-    """A text as a string of a style sheet."""
+    """A text as a string literal of a style sheet, safe within HTML."""
     return Markup(cover.css_text(words.visible(text)))
 
 
 def marked_code(text: str) -> Markup:
-    """A text with its parts in backticks marked as code."""
+    """A text as markup, with its parts in backticks as code."""
     parts = str(escape(words.visible(text))).split("`")
-    for number in range(1, len(parts), 2):
+    for number in range(1, len(parts), 2):  # every second part is between backticks
         parts[number] = f"<code>{parts[number]}</code>"
     return Markup("".join(parts))

@@ -1,4 +1,4 @@
-"""What a run means in sentences, what to do next, and rows of tables; from a manifest."""
+"""Sentences on a run, the next steps, and rows of tables, made from its manifest."""
 
 import math
 import tomllib
@@ -31,12 +31,13 @@ from unbend.tables.manifest.results import (
 from unbend.tables.manifest.whole import Manifest
 
 Metres = Sequence[float | None]
-"""East, north and up [m]; None where one is not known."""
+"""East, north and up [m]; None for an unknown component."""
 
 LARGEST_CABIN_SHARE = 0.02
-"""From this standard deviation on, as a share of R, the air in the cabin is in the verdict."""
+"""From this standard deviation on, as a share of R, the report mentions the air in the cabin."""
 
-_NEARLY_ALL = 0.9
+_NEARLY_ALL = 0.9  # share of the observations
+# Basis of the air without measurements -> its description.
 _UNMEASURED = {
     "climatology": "a climatology is used instead",
     "standard": "a standard atmosphere is used instead",
@@ -44,41 +45,42 @@ _UNMEASURED = {
 
 
 def is_applied(manifest: Manifest) -> bool:
-    """Whether the run displaced ideal observations instead of correcting measured ones."""
+    """Whether the run applied refraction to ideal observations, instead of removing it."""
     return manifest.sections.refraction.direction == "apply"
 
 
 def verdict(manifest: Manifest) -> str:
-    """What became of the observations, and what the air in the lenses leaves in them."""
-    lens = "" if is_nothing_done(manifest) else lens_left_in(manifest.results)
+    """The result of a run in a sentence or two: the `outcome`, and uncorrected air in lenses."""
+    lens = "" if is_nothing_corrected(manifest) else lens_left_in(manifest.results)
     return f"{outcome(manifest)} {lens}".rstrip()
 
 
-def is_nothing_done(manifest: Manifest) -> bool:
+def is_nothing_corrected(manifest: Manifest) -> bool:
     """Whether no observation was corrected."""
     return not manifest.results.correction.shift_px.count
 
 
 def outcome(manifest: Manifest) -> str:
-    """One sentence: how many observations were corrected, how far, and whether they can be used.
+    """One sentence: how many observations were corrected, by how much, and whether to use them.
 
-    How far is the median, and what 95 % stay below: the maximum may be that of one steep ray.
-    Never says that results can be adjusted where the run ended with code 3 for anything but rows
-    that have no corrected coordinates.
+    The amounts are the median and the 95th percentile: the maximum may be that of one steep ray.
+    Results are called ready for bundle adjustment only if nothing has to be checked before.
     """
     correction = manifest.results.correction
     rows = manifest.results.observations.rows
-    done = correction.shift_px.count
+    corrected = correction.shift_px.count
     applied = is_applied(manifest)
     verb = "displaced" if applied else "corrected"
     concerns = "; ".join(text for text, _ in concerns_of(manifest))
-    if not done:
-        look = f"; check {concerns}" if concerns else ""
-        return f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}{look}."
-    if done < rows:
-        start = f"{done:,} of {rows:,} observations were"
+    if not corrected:
+        check = f"; check {concerns}" if concerns else ""
+        return f"None of {count(rows, 'observation')} could be {verb}: {flagged(manifest)}{check}."
+    if corrected < rows:
+        start = f"{corrected:,} of {rows:,} observations were"
+    elif rows == 1:
+        start = "The observation was"
     else:
-        start = "The observation was" if rows == 1 else f"All {rows:,} observations were"
+        start = f"All {rows:,} observations were"
     if concerns:
         end = f". Check {concerns} before use"
     elif is_tiny(manifest):
@@ -86,15 +88,17 @@ def outcome(manifest: Manifest) -> str:
     elif applied:
         end = ", for simulations and tests: they now contain refraction"
     else:
-        left = "" if done == rows else f" without the other {count(rows - done, 'row')}"
-        end = f". Ready for bundle adjustment{left}"
+        without = ""
+        if corrected < rows:
+            without = f" without the other {count(rows - corrected, 'row')}"
+        end = f". Ready for bundle adjustment{without}"
     return f"{start} {verb} by {size_of_shift(correction)}{end}."
 
 
 def size_of_shift(correction: CorrectionRecord) -> str:
-    """How far observations were moved, in the median and for 95 % of them.
+    """The median and 95th percentile of the shift of observations, on the ground and in the image.
 
-    Metres on the ground are left out where none is known.
+    Lengths on the ground are left out if they are unknown.
     """
     shift = correction.shift_px
     ground = correction.shift_ground_m
@@ -107,14 +111,14 @@ def size_of_shift(correction: CorrectionRecord) -> str:
 
 
 def condition_of_frame(manifest: Manifest) -> str:
-    """What a verdict rests on, if nothing confirms the frame of a block."""
+    """A condition for the end of a sentence if nothing confirms the frame of a block, else ""."""
     if any(entry.code == "FRAME-UNVERIFIED" for entry in manifest.results.ledger):
         return ", if the frame of the block is right (nothing confirms it)"
     return ""
 
 
 def remarks(manifest: Manifest) -> list[str]:
-    """What stands below the verdict: what limits the accuracy, and what control points show."""
+    """Sentences below the verdict: limits of the accuracy, and residuals of control points."""
     sentences = [text for text, _ in _limits(manifest)]
     control = manifest.results.control
     if control is not None:
@@ -127,30 +131,31 @@ def remarks(manifest: Manifest) -> list[str]:
 
 
 def distance(components_m: Sequence[float]) -> float:
-    """The length of a vector."""
+    """The length of a vector [m]."""
     return math.sqrt(sum(value**2 for value in components_m))
 
 
 def next_steps(manifest: Manifest) -> list[str]:
-    """What to do with the results of a run, one step each.
+    """Sentences on what to do with the results of a run, one step each.
 
-    Of errors that remain the largest comes first: the air in a lens, which is systematic, before
-    what the air outside and in cabins leaves uncertain.
+    Checks come first, then steps against remaining errors, the largest before others: the air in a
+    lens, which is systematic, before the uncertainty of the air outside and in cabins.
     """
     steps = [step for _, step in concerns_of(manifest)]
     adjust = "Then adjust" if steps else "Adjust"
     rows = manifest.results.observations.rows
-    done = manifest.results.correction.shift_px.count
+    corrected = manifest.results.correction.shift_px.count
     applied = is_applied(manifest)
-    if not done:
+    if not corrected:
         return [*steps, "Find the cause in the losses, correct the mission file, run again."]
-    if done < rows:
+    if corrected < rows:
         steps.append(
-            f"Leave out {count(rows - done, 'row')} without new coordinates "
+            f"Leave out {count(rows - corrected, 'row')} without new coordinates "
             f"({flagged(manifest)}); the ledger names the causes."
         )
-    if left := uncorrected_lenses(manifest.results):
-        steps.append(reference_step(left))
+    lenses = uncorrected_lenses(manifest.results)
+    if lenses:
+        steps.append(reference_step(lenses))
     steps += [step for _, step in _limits(manifest)]
     steps += _step_to_known_hour(manifest)
     steps += step_to_stated_sigmas(manifest)
@@ -167,12 +172,12 @@ def next_steps(manifest: Manifest) -> list[str]:
 
 
 def flagged(manifest: Manifest) -> str:
-    """How many observations have each status other than ok."""
+    """The numbers of observations of the run with each status other than ok, as a text."""
     return counted(manifest.results.observations.status)
 
 
 def counted(status: Mapping[str, int]) -> str:
-    """Numbers of each status other than ok.
+    """The numbers of each status other than ok, as a text; zeros are left out.
 
     >>> counted({"ok": 7, "no_ground": 0, "no_station": 1200})
     '1,200 no_station'
@@ -181,14 +186,20 @@ def counted(status: Mapping[str, int]) -> str:
 
 
 def is_tiny(manifest: Manifest) -> bool:
-    """Whether nearly all observations were corrected, each by less than can be measured."""
+    """Whether 90 % of the observations were corrected, each by less than 0.05 px.
+
+    Less than `SMALLEST_MEASURABLE_PX` cannot be seen in image measurements.
+    """
     shift = manifest.results.correction.shift_px
     is_nearly_all = shift.count > _NEARLY_ALL * manifest.results.observations.rows
     return is_nearly_all and shift.maximum is not None and shift.maximum < SMALLEST_MEASURABLE_PX
 
 
 def _limits(manifest: Manifest) -> list[tuple[str, str]]:
-    """What limits the accuracy, and what would help: air that was not measured, and the cabin."""
+    """Sentences on what limits the accuracy, each with a step that would improve it.
+
+    Limits are air that was not measured, and the air in a cabin or in lenses.
+    """
     limits = []
     air = manifest.results.uncertainty
     basis = manifest.results.profile.basis
@@ -197,16 +208,16 @@ def _limits(manifest: Manifest) -> list[tuple[str, str]]:
         accuracy = f", the correction is known to{sigma} of the refraction R" if sigma else ""
         step = step_to_better_air(manifest)
         limits.append((f"The air was not measured: {_UNMEASURED[basis]}{accuracy}.", step))
-    cabin = manifest.results.cabin_sigma_share.median
-    if cabin is not None and cabin > LARGEST_CABIN_SHARE:
-        limits.append(_limit_of_cabin(manifest, cabin))
+    cabin_share = manifest.results.cabin_sigma_share.median
+    if cabin_share is not None and cabin_share > LARGEST_CABIN_SHARE:
+        limits.append(_limit_of_cabin(manifest, cabin_share))
     elif not is_applied(manifest):
         limits += limits_of_lenses(manifest.results)
     return limits
 
 
 def _step_to_known_hour(manifest: Manifest) -> list[str]:
-    """To state the hour of a flight whose day alone is known."""
+    """A step to state the hour of the flight, if only its day is known; else empty."""
     for entry in manifest.results.ledger:
         if entry.code == "FLIGHT-HOUR":
             return [f"State the time of the flight too ({entry.where}): the air is more certain."]
@@ -214,7 +225,10 @@ def _step_to_known_hour(manifest: Manifest) -> list[str]:
 
 
 def _limit_of_cabin(manifest: Manifest, share: float) -> tuple[str, str]:
-    """What the air before and in the lens makes uncertain, a ``share`` of R; and what to do."""
+    """A sentence on the uncertainty by the air in front of and in the lens, and a step against it.
+
+    ``share`` is its median standard deviation as a share of R.
+    """
     place = "in the cabin"
     if all(camera.window is None for camera in manifest.sections.cameras.values()):
         place = "in front of the lens"
@@ -230,13 +244,14 @@ def _limit_of_cabin(manifest: Manifest, share: float) -> tuple[str, str]:
     air = manifest.results.uncertainty
     if air is not None:
         text += f", the air outside of {100.0 * air.scale_sigma:.2g} %"
-        text += " only" if share > air.scale_sigma else ""
+        if share > air.scale_sigma:
+            text += " only"
     step = lens_step(lenses) if lenses else cabin_step(manifest)
     return f"{text}.", step
 
 
 def step_to_better_air(manifest: Manifest) -> str:
-    """What to do for air that is measured; with adjust: false no measurement would be used."""
+    """The step to better air: measure it, or remove ``adjust: false``, which ignores that."""
     if manifest.sections.atmosphere.adjust:
         return "For a better correction, give a thermometer, soundings or METARs."
     return (
@@ -249,13 +264,13 @@ _GRAVEST_FIRST = ("finding", "loss", "warning", "fallback", "note")
 
 
 def control_sentence(manifest: Manifest) -> str:
-    """How far control points are missed before and after; empty without control."""
+    """A sentence on the residuals of control points before and after; empty without any."""
     control = manifest.results.control
     if control is None:
         return ""
-    before = millimetres_apart(control.rms_before_m)
-    after = millimetres_apart(control.rms_after_m)
-    moved = millimetres_apart(control.rms_refraction_m)
+    before = slashed(control.rms_before_m)
+    after = slashed(control.rms_after_m)
+    moved = slashed(control.rms_refraction_m)
     text = (
         f"{control.used} control points, intersected with fixed stations: RMS of east/north/"
         f"up {before} m as measured, {after} m corrected; the corrections move them by {moved} m"
@@ -270,8 +285,8 @@ def control_sentence(manifest: Manifest) -> str:
     return text
 
 
-def millimetres_apart(values_m: Iterable[float]) -> str:
-    """East, north and up [m] to a millimetre, with slashes between them."""
+def slashed(values_m: Iterable[float]) -> str:
+    """East, north and up [m] to a millimetre, with slashes between them: 0.012/0.020/0.153."""
     return "/".join(f"{value:.3f}" for value in values_m)
 
 
@@ -289,15 +304,18 @@ CONTROL_HEAD = (
 
 
 def control_rows(manifest: Manifest, most: int) -> list[tuple[str, ...]]:
-    """Intersected minus given, as measured and corrected, of some points; their mean and RMS."""
+    """Rows below `CONTROL_HEAD`: the first ``most`` control points, then the mean and RMS of all.
+
+    Differences are intersected minus stated coordinates, as measured and corrected.
+    """
     control = manifest.results.control
     if control is None:
         return []
     rows = []
     for point in control.points[:most]:
         sigma = "" if point.sigma_u_m is None else significant(point.sigma_u_m, 2)
-        misses = signed(point.before_m, point.after_m)
-        rows.append((shortened(point.point, 20), str(point.rays), *misses, sigma))
+        differences = signed(point.before_m, point.after_m)
+        rows.append((shortened(point.point, 20), str(point.rays), *differences, sigma))
     if len(control.points) > most:
         rows.append((f"({len(control.points) - most} more: manifest.json)", *[""] * 8))
     mean = signed(control.mean_before_m, control.mean_after_m)
@@ -308,7 +326,7 @@ def control_rows(manifest: Manifest, most: int) -> list[tuple[str, ...]]:
 
 
 def signed(before_m: Metres, after_m: Metres) -> list[str]:
-    """Six distances with their signs, to a millimetre; empty where one is not known."""
+    """The six components of two vectors with their signs, to a millimetre; "" for None."""
     return ["" if value is None else f"{value:+.3f}" for value in (*before_m, *after_m)]
 
 
@@ -316,7 +334,7 @@ CORRECTION_HEAD = ("", "median", "95 %", "maximum")
 
 
 def correction_rows(manifest: Manifest) -> list[tuple[str, ...]]:
-    """Label, median, 95 % and maximum; camera by camera where there are several."""
+    """Rows below `CORRECTION_HEAD`: shifts and refraction angles, of each camera if several."""
     correction = manifest.results.correction
     cameras: Mapping[str, CorrectionRecord | CameraShifts] = correction.cameras
     if len(cameras) < 2:
@@ -340,7 +358,10 @@ def correction_rows(manifest: Manifest) -> list[tuple[str, ...]]:
 def distribution_row(
     label: str, camera: str, distribution: DistributionRecord, unit: str
 ) -> tuple[str, ...]:
-    """Label, median, 95 % and maximum of a distribution, of one ``camera`` if it has a name."""
+    """Label, median, 95 % and maximum of a distribution in ``unit``, for a row of a table.
+
+    The label contains the name of the ``camera`` unless it is "". Metres get units of their own.
+    """
     if camera:
         label = f"{label}, {shortened(camera, 20)}"
     values = (distribution.median, distribution.p95, distribution.maximum)
@@ -350,7 +371,7 @@ def distribution_row(
 
 
 def air_sentences(manifest: Manifest) -> str:
-    """What the air was estimated from, and how it differs from the standard and changes."""
+    """Sentences on the source of the air, its difference from the standard, and its changes."""
     profile = manifest.results.profile
     reason = profile.reason
     first = reason.split()[0] if reason else ""
@@ -375,31 +396,34 @@ def air_sentences(manifest: Manifest) -> str:
 
 
 def change_of(window: TimeWindowRecord) -> str:
-    """The change of R in a part of a flight [%], with its sigma."""
+    """The change of R in a part of a flight [% of R of the whole], with its sigma, as a text."""
     return with_sigma(100.0 * window.change, 100.0 * window.sigma, signed=True)
 
 
 def effect_lines(effects: Sequence[EffectRecord], standard: str) -> list[str]:
-    """R in the air of the flight beside that in the standard, a line for each nadir angle.
+    """Lines on R in the air of the flight and in the standard, one for each nadir angle.
 
-    The first line says what R is.
+    ``standard`` is the name of that atmosphere. The first line explains what R is.
     """
     lines: list[str] = []
     for effect in effects:
         name = "R" if lines else "refraction R"
         in_flight = with_sigma(effect.r_c_arcsec, effect.sigma_arcsec)
         sigma = None if effect.sigma_factor is None else 100.0 * effect.sigma_factor
-        more = with_sigma(100.0 * (effect.factor - 1.0), sigma, "%", signed=True)
+        difference = with_sigma(100.0 * (effect.factor - 1.0), sigma, "%", signed=True)
         lines.append(
             f"{name} at {effect.nadir_angle_deg:.0f}° from {effect.h_c_m:.0f} m to "
             f"{effect.h_g_m:.0f} m: {in_flight} arcsec, "
-            f"{effect.standard_arcsec:.3f} in {standard}: {more}"
+            f"{effect.standard_arcsec:.3f} in {standard}: {difference}"
         )
     return lines
 
 
 def ledger_rows(entries: Sequence[MessageRecord]) -> list[tuple[str, str, str]]:
-    """Kind, code and text (with the place) of the entries of a ledger, the gravest first."""
+    """Kind, code and text of the entries of a ledger, sorted by severity of the kind, then code.
+
+    The text contains the place of the entry.
+    """
     rows = []
     for entry in entries:
         text = entry.what if entry.where in entry.what else f"{entry.what} ({entry.where})"
@@ -408,7 +432,7 @@ def ledger_rows(entries: Sequence[MessageRecord]) -> list[tuple[str, str, str]]:
 
 
 def not_included(manifest: Manifest) -> list[str]:
-    """Effects that the coordinates still contain (or lack, if refraction was applied)."""
+    """Lines on effects that the coordinates still contain (or lack, if refraction was applied)."""
     applied = is_applied(manifest)
     remains = "not applied" if applied else "not removed"
     without_lens = []
@@ -426,16 +450,21 @@ def not_included(manifest: Manifest) -> list[str]:
         lines.append(texts["lens"].format(names=", ".join(without_lens), remains=remains))
     if behind_glass:
         lines.append(texts["glass"].format(names=", ".join(behind_glass), remains=remains))
-    lean = manifest.results.heights.deflection
-    if lean.applies and lean.north_arcsec is not None and not applied:
-        size = math.hypot(lean.north_arcsec, lean.east_arcsec or 0.0)
-        across = math.radians(size / 3.6)
-        lines.append(texts["vertical"].format(size=size, geoid=lean.geoid, across=across))
-    return lines if applied else [*lines, texts["curvature"]]
+    deflection = manifest.results.heights.deflection
+    if deflection.applies and deflection.north_arcsec is not None and not applied:
+        size = math.hypot(deflection.north_arcsec, deflection.east_arcsec or 0.0)
+        across = math.radians(size / 3.6)  # metres on the ground from 1 km above it
+        lines.append(texts["vertical"].format(size=size, geoid=deflection.geoid, across=across))
+    if not applied:
+        lines.append(texts["curvature"])
+    return lines
 
 
 def lines_on_air(results: ResultsRecord, remains: str) -> list[str]:
-    """Remaining effects of the air in and in front of each lens; ``remains``: "not removed"."""
+    """Lines on remaining effects of the air in and in front of each lens.
+
+    ``remains`` is the word for them: "not removed" or "not applied".
+    """
     texts = report_texts()["left"]
     lines = []
     for name, camera in results.air_at_cameras.items():
@@ -457,6 +486,6 @@ def lines_on_air(results: ResultsRecord, remains: str) -> list[str]:
 
 @cache
 def report_texts() -> Mapping[str, Any]:
-    """The texts of ``report.toml``, by what they are about."""
+    """The texts of ``report.toml``, by section and key."""
     text = (files("unbend.report") / "data/report.toml").read_text("utf-8")
     return tomllib.loads(text)

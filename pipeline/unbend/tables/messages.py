@@ -6,7 +6,7 @@ from unbend.atmosphere.soundings.messages import MODEL_LEVELS
 from unbend.errors import Code, InputError
 from unbend.messages import Message, loss, note
 
-# Any small table: the caller's code says which.
+# Messages of any small table; the caller passes the code.
 
 
 def csv_unreadable(*, code: Code, where: Path | str, error: str) -> InputError:

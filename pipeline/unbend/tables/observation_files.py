@@ -161,3 +161,33 @@ def damage_in_table(path: Path) -> Iterator[None]:
         yield
     except (pa.ArrowException, OSError) as error:
         raise messages.observations_damaged(where=path, error=str(error)) from None
+
+
+def plain_arrays(table: pa.Table) -> dict[str, pa.Array]:
+    """The columns of a table by name, each as one array without chunks, dictionaries decoded."""
+    arrays = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        decoded = column
+        if pa.types.is_dictionary(column.type):
+            decoded = column.cast(column.type.value_type)
+        arrays[name] = decoded.combine_chunks()
+    return arrays
+
+
+def row_slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
+    """Join and cut record batches to tables of ``rows`` rows; the last one may have fewer."""
+    waiting: list[pa.RecordBatch] = []  # parts of the next table, with ``count`` rows so far
+    count = 0
+    for batch in batches:
+        remainder = batch
+        while remainder.num_rows:
+            part = remainder.slice(0, rows - count)
+            waiting.append(part)
+            count += part.num_rows
+            remainder = remainder.slice(part.num_rows)
+            if count == rows:
+                yield pa.Table.from_batches(waiting)
+                waiting = []
+                count = 0
+    if waiting:
+        yield pa.Table.from_batches(waiting)

@@ -20,7 +20,15 @@ from unbend.tables.imports.blocks import BLOCKS
 from unbend.tables.imports.blocks.image_points import rows_with_point
 from unbend.tables.measured_columns import measured_floats, valid_magnitudes
 from unbend.tables.name_hashes import hashes_of
-from unbend.tables.observation_files import OpenedTable, Records, csv_records, in_memory, open_file
+from unbend.tables.observation_files import (
+    OpenedTable,
+    Records,
+    csv_records,
+    in_memory,
+    open_file,
+    plain_arrays,
+    row_slices,
+)
 from unbend.tables.pixels import COLMAP, ImageFrame, PixelSystem
 from unbend.tables.refraction_mark import Direction, refuse_marked_table
 from unbend.tables.row_sample import RowSample
@@ -237,22 +245,18 @@ class Observations:
         """
         batch_rows = self.rows_of_part(batch_rows)
         first_row = first_part * batch_rows
-        slices = _slices(self._records(batch_rows, None, first_row), batch_rows)
+        slices = row_slices(self._records(batch_rows, None, first_row), batch_rows)
         for table in islice(slices, None if stop is None else stop - first_part):
             users = {field.name: self._sources[field.name] for field in self.user_fields}
             yield replace(self._batch_of(table, users), first_row=first_row)
             first_row += table.num_rows
 
-    def _batch_of(
-        self,
-        table: pa.Table,
-        users: Mapping[str, str],
-    ) -> Batch:
+    def _batch_of(self, table: pa.Table, users: Mapping[str, str]) -> Batch:
         """The rows of ``table`` with pixels and heights converted; row indices are not set.
 
         ``users`` : names that the user's columns are written with -> names in the table.
         """
-        arrays = _plain_arrays(table)
+        arrays = plain_arrays(table)
         image = self._names("image", arrays, table.num_rows)
         point = self._names("point", arrays, table.num_rows)
         x = measured_floats(arrays[self.columns["x_px"]])
@@ -290,12 +294,7 @@ class Observations:
             batch = replace(batch, ground_sigma=ground_sigma, no_sigma=no_sigma)
         return batch
 
-    def _names(
-        self,
-        role: str,
-        arrays: Mapping[str, pa.Array],
-        rows: int,
-    ) -> pa.StringArray:
+    def _names(self, role: str, arrays: Mapping[str, pa.Array], rows: int) -> pa.StringArray:
         """(rows,) names of the role "image" or "point"; all null if the column was not read.
 
         ``arrays`` are the columns that were read, by name.
@@ -304,16 +303,6 @@ class Observations:
         if column is None:
             column = pa.nulls(rows)
         return column.cast(pa.string())
-
-
-def _plain_arrays(table: pa.Table) -> dict[str, pa.Array]:
-    """The columns of a table by name, each as one array without chunks, dictionaries decoded."""
-    arrays = {}
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        if pa.types.is_dictionary(column.type):
-            column = column.cast(column.type.value_type)
-        arrays[name] = column.combine_chunks()
-    return arrays
 
 
 def open_observations(
@@ -430,13 +419,7 @@ def _scan_of_csv(
     columns that have to be numbers. Adds the images to ``sample`` and notes to ``ledger``.
     """
     add = None if sample is None else sample.add
-    scan = scan_csv(
-        path,
-        names,
-        (named["image"], named["point"]),
-        numbers,
-        add,
-    )
+    scan = scan_csv(path, names, (named["image"], named["point"]), numbers, add)
     for name in scan.codes:
         ledger.add(messages.column_as_text(column=name))
     return _Scan(
@@ -481,13 +464,8 @@ def _scan_of_names(
         if sample is not None:
             sample.add(names)
     if repeated:
-        count = len(repeated)
         ledger.add(
-            messages.points_repeated(
-                where=path.name,
-                count=count,
-                first=repeated[0],
-            )
+            messages.points_repeated(where=path.name, count=len(repeated), first=repeated[0])
         )
     return _Scan(
         rows=rows,
@@ -512,21 +490,3 @@ def _written_names(users: list[str], ledger: Ledger) -> dict[str, str]:
             ledger.add(messages.column_renamed(column=user_name, written=written_name))
         sources[written_name] = user_name
     return sources
-
-
-def _slices(batches: Iterator[pa.RecordBatch], rows: int) -> Iterator[pa.Table]:
-    """Join and cut record batches to tables of ``rows`` rows; the last one may have fewer."""
-    waiting: list[pa.RecordBatch] = []  # parts of the next table, with ``count`` rows so far
-    count = 0
-    for batch in batches:
-        while batch.num_rows:
-            part = batch.slice(0, rows - count)
-            waiting.append(part)
-            count += part.num_rows
-            batch = batch.slice(part.num_rows)
-            if count == rows:
-                yield pa.Table.from_batches(waiting)
-                waiting = []
-                count = 0
-    if waiting:
-        yield pa.Table.from_batches(waiting)

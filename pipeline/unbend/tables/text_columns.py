@@ -37,7 +37,7 @@ _LEAST_SIMILAR = 0.5  # similarity of a name that is suggested, by difflib: x_pi
 LINE_OF_FIRST_ROW = 2  # of a table in memory, as if its first line were its header
 _PUNCTUATION = re.compile(r"[^a-z0-9]")
 _ENDINGS_OF_HEMISPHERE = ("ref", "hemisphere", "hemi", "dir")
-_QUANTITIES_OF_NAMES = ("image", "camera", "point")  # whose columns hold text
+_QUANTITIES_OF_NAMES = ("image", "camera", "point")  # with columns of text
 LARGEST_OF_QUANTITIES = {
     "latitude": 90.0,
     "longitude": 360.0,
@@ -206,14 +206,7 @@ def numbers_in_text(text: "pd.Series[str]") -> Array:
     return measured(values)
 
 
-def degrees_of(
-    table: pd.DataFrame,
-    name: str,
-    path: Path,
-    code: Code,
-    *,
-    quantity: str,
-) -> Array:
+def degrees_of(table: pd.DataFrame, name: str, path: Path, code: Code, *, quantity: str) -> Array:
     """(n,) the column ``name`` as degrees, from numbers or from degrees, minutes and seconds.
 
     ``quantity`` is latitude or longitude. A column of hemispheres, if there is one, gives the
@@ -410,10 +403,7 @@ def utc_of_columns(table: pd.DataFrame, names: Mapping[str, str]) -> tuple[TimeA
 
 
 def require_names(
-    code: Code,
-    path: Path,
-    columns: Sequence[str],
-    wanted: Iterable[tuple[str, str, str]],
+    code: Code, path: Path, columns: Sequence[str], wanted: Iterable[tuple[str, str, str]]
 ) -> None:
     """Refuse (``code``) a table with ``columns`` that lacks a wanted one; suggests a similar name.
 
@@ -441,11 +431,7 @@ columns are image, x_pix
             )
 
 
-def require_columns(
-    path: Path,
-    schema: pa.Schema,
-    wanted: Sequence[tuple[str, str, str]],
-) -> None:
+def require_columns(path: Path, schema: pa.Schema, wanted: Sequence[tuple[str, str, str]]) -> None:
     """Refuse a table of observations with columns that do not fit those ``wanted``.
 
     These are a missing column, two columns of one name, a column wanted for two quantities, and a

@@ -996,8 +996,8 @@ def orientation_in_radians(*, where: str, camera: str, unit: str) -> Message:
     return finding(
         ORIENTATION_RADIANS,
         (
-            "the headings of {camera} follow the flight lines if the angles are radians, not in the "
-            "stated unit {unit}: likely radians ({where})"
+            "the headings of {camera} follow the flight lines if the angles are radians, not in "
+            "the stated unit {unit}: likely radians ({where})"
         ),
         where=where,
         camera=camera,

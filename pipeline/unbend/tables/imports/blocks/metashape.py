@@ -85,10 +85,7 @@ def read_images(path: Path) -> OrientationTable:
     return replace(table, frame="ecef" if is_on_wgs84(reference) else datum_of(reference))
 
 
-def _names_of_sensors(
-    chunk: ElementTree.Element,
-    cameras: list[ElementTree.Element],
-) -> list[str]:
+def _names_of_sensors(chunk: ElementTree.Element, cameras: list[ElementTree.Element]) -> list[str]:
     """(n,) the name of each camera's sensor; empty for a sensor that the chunk does not have."""
     sensors = _sensors(chunk)
     names = []
