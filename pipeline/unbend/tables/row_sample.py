@@ -73,7 +73,8 @@ class RowSample:
             numbers.append(number)
         index = encoded.indices.fill_null(len(images) - 1)  # null is the last image
         index_of_row = index.to_numpy(zero_copy_only=False)
-        return np.asarray(np.array(numbers, np.int64)[index_of_row])
+        number_of_index = np.array(numbers, np.int64)
+        return np.asarray(number_of_index[index_of_row])
 
     def _limit_of_images(self) -> int:
         """The largest k for which k rows of each image, or all if fewer, are at most ``most``."""
@@ -142,7 +143,8 @@ class RowSample:
             self.image,
             minlength=self.counts.size,
         )
-        weights = self.counts[self.image] / drawn_of_image[self.image]
+        rows_of_image = self.counts[self.image]
+        weights = rows_of_image / drawn_of_image[self.image]
         factor = self.counts.sum() / weights.sum()  # images without a drawn row count too
         return np.asarray(weights * factor)
 
