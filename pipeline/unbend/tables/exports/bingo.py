@@ -158,9 +158,10 @@ FORMATS = (
         frame_of_points,
         options=(PIXEL_UM, QUARTER_TURNS),
         use=(
-            "in BINGO, and in Inpho if it reads these files, switch off the corrections of "
-            "refraction and earth curvature, and adjust in a Cartesian frame; --format opk-enu "
-            "writes positions and angles in such a frame"
+            "in BINGO, and in Inpho if it reads these files, switch off the correction of "
+            "refraction. With orientations in a local Cartesian frame (--format opk-enu) switch "
+            "off the correction of earth curvature too; with those in a map projection keep it on, "
+            "and that of the projection's scale"
         ),
         marked=("image.dat",),
     ),
