@@ -96,6 +96,10 @@ def test_what_is_printed_of_a_sounding():
     """)
     assert lines[-1] == "mission file atmosphere: {soundings: [{path: era5.nc}]}"
 
+    sounding["longitude_deg"] = None
+    lines = printed_lines(print_sounding, sounding)
+    assert "place 48.249°, longitude not stated" in lines
+
 
 def test_what_is_printed_of_metars():
     report = yaml.safe_load("""

@@ -75,7 +75,10 @@ def print_sounding(console: Console, reading: Mapping[str, Any], name: str) -> N
         time = f"{joined_ends(reading['first_utc'], reading['last_utc'])} UTC"
     place = "not stated"
     if reading["latitude_deg"] is not None:
-        place = f"{reading['latitude_deg']:.3f}°, {reading['longitude_deg']:.3f}°"
+        longitude = "longitude not stated"
+        if reading["longitude_deg"] is not None:
+            longitude = f"{reading['longitude_deg']:.3f}°"
+        place = f"{reading['latitude_deg']:.3f}°, {longitude}"
     used = f"{reading['levels']:,} of {count(reading['levels_in_file'], 'level')}"
     lines = [
         ("ascents", f"{reading['ascents']:,}; below is the first"),

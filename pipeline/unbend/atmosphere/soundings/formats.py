@@ -202,6 +202,7 @@ def _seconds_of_release(hhmm: float) -> int | None:
 # Quantity and unit by the name of a column.
 PLAIN_COLUMNS = {
     "h_m": ("height", "m"),
+    "h_msl_m": ("height", "m"),
     "geopotential_m": ("geopotential", "m"),
     "pressure_pa": ("pressure", "pa"),
     "pressure_hpa": ("pressure", "hpa"),

@@ -727,7 +727,7 @@ SOUNDING_HEIGHT = Code(
     "SOUNDING-HEIGHT",
     means="No level of the sounding has a height.",
     effect="The mission is refused.",
-    remedy="Give station_h_msl_m.",
+    remedy="Name the column of heights h_m, or give station_h_msl_m.",
 )
 
 
@@ -738,7 +738,10 @@ def sounding_height(*, where: object, total: int) -> InputError:
         "none of the {total} levels has a height",
         where=where,
         total=total,
-        remedy="give the height of the station above the sea as station_h_msl_m",
+        remedy=(
+            "name the column of heights above the sea h_m, or give the height of the station above "
+            "the sea as station_h_msl_m"
+        ),
     )
 
 
