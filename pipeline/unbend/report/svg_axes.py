@@ -177,7 +177,7 @@ class Axes:
 
 
 def whole_decades(limits: Range) -> Range:
-    """Positive limits widened to powers of ten."""
+    """Positive limits extended to powers of ten."""
     low, high = limits
     below = math.floor(math.log10(low))
     above = math.ceil(math.log10(high))
