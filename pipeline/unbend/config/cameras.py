@@ -107,7 +107,9 @@ class CameraSection(Section):
     )
     model: Literal[tuple(MODELS)] | None = Field(  # type: ignore[valid-type]
         None,
-        description="COLMAP's name of the camera model",
+        description=(
+            "name of the camera model, as COLMAP has it; BROWN and GENERAL_FRAME are not COLMAP's"
+        ),
         examples=["OPENCV"],
     )
     params: list[float] | None = Field(

@@ -38,8 +38,8 @@ class ChannelsSection(Section):
     position: str | NamedChannel | None = Field(
         None,
         description=(
-            "channel of latitude and longitude; a name as `unbend inspect` prints it, or {name, "
-            "unit} where the log's unit is wrong. By default the only one of its kind"
+            "channel of latitude and longitude; a name as `unbend inspect` prints it. By default "
+            "the best, of equal ones the first"
         ),
         examples=["GPS[0]"],
     )
@@ -47,7 +47,7 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the heights of the GNSS receiver, at which the air was sampled; a name as "
-            "`unbend inspect` prints it, or {name, unit}. By default the best receiver"
+            "`unbend inspect` prints it. By default the best receiver, of equal ones the first"
         ),
         examples=["GPS[0]"],
     )
@@ -71,7 +71,8 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the static pressure outside; a name as `unbend inspect` prints it, or "
-            "{name, unit} where the log's unit is wrong. By default the only one of its kind"
+            "{name, unit} where the log's unit is wrong. By default the first barometer that is not "
+            "in a closed compartment"
         ),
         examples=["BARO[0]"],
     )
@@ -79,7 +80,8 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the temperature of the air outside; a name as `unbend inspect` prints it, "
-            "or {name, unit} where the log's unit is wrong. By default the only one of its kind"
+            "or {name, unit} where the log's unit is wrong. By default the only one of its kind; "
+            "with a window only if it cannot be in the cabin"
         ),
         examples=["HYGR[0]"],
     )
@@ -87,7 +89,8 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the relative humidity outside; a name as `unbend inspect` prints it, or "
-            "{name, unit} where the log's unit is wrong. By default the only one of its kind"
+            "{name, unit} where the log's unit is wrong. By default the only one of its kind; with "
+            "a window only if it cannot be in the cabin"
         ),
         examples=["HYGR[0]"],
     )
@@ -103,8 +106,8 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the pressure in the compartment of the camera; a name as `unbend inspect` "
-            "prints it, or {name, unit} where the log's unit is wrong. By default the only one of "
-            "its kind"
+            "prints it, or {name, unit} where the log's unit is wrong. By default, with a window, "
+            "the only barometer that does not follow the height"
         ),
         examples=["BARO[1]"],
     )

@@ -97,8 +97,8 @@ class AcceptedFinding(Section):
     reason: str = Field(
         min_length=3,
         description=(
-            "why the inputs are right although they contradict the check; the report contains this "
-            "reason"
+            "why the inputs are right although they contradict the check, in three characters or "
+            "more; the report contains this reason"
         ),
         examples=["flown from a pass 1200 m above the valley"],
     )
