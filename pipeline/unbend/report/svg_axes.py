@@ -67,7 +67,7 @@ class Axes:
     """The axes of a figure: converts values x, y to pixels and to paths of SVG.
 
     ``box`` is left, top, width and height of the plot [px], ``x`` and ``y`` are the limits of the
-    axes. With ``log_x`` the x axis is logarithmic, and its limits are widened to powers of ten.
+    axes. With ``log_x`` the x axis is logarithmic, and its limits are extended to powers of ten.
     """
 
     def __init__(self, box: Sequence[float], x: Range, y: Range, *, log_x: bool = False) -> None:
