@@ -381,8 +381,8 @@ class AtmosphereSection(Section):
         "us1976",
         description=(
             "standard atmosphere that the results show next to the air of the flight: us1976, "
-            "us1962, icao, ican, ardc1959, or one of the US Supplements 1966; a wrong name lists all "
-            "names"
+            "us1962, icao, ican, ardc1959, or one of the US Supplements 1966; a wrong name lists "
+            "all names"
         ),
         examples=["us1976"],
     )

@@ -121,8 +121,8 @@ class PositionEvents(Section):
     format: Annotated[str, one_of(CAMERA_EVENTS.keys)] | None = Field(
         None,
         description=(
-            "format of the file; by default by the ending: .pos (rtklib), .MRK (mrk), .txt, .eo and "
-            ".dat (eo, POSPac's)"
+            "format of the file; by default by the ending: .pos (rtklib), .MRK (mrk), .txt, .eo "
+            "and .dat (eo, POSPac's)"
         ),
         examples=["rtklib"],
     )

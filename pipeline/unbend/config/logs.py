@@ -71,8 +71,8 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the static pressure outside; a name as `unbend inspect` prints it, or "
-            "{name, unit} where the log's unit is wrong. By default the first barometer that is not "
-            "in a closed compartment"
+            "{name, unit} where the log's unit is wrong. By default the first barometer that is "
+            "not in a closed compartment"
         ),
         examples=["BARO[0]"],
     )

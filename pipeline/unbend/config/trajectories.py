@@ -112,8 +112,8 @@ class TrajectorySection(Section):
     )
     point: Literal["imu", "antenna", "camera"] = Field(
         description=(
-            "the point of the positions in the file; with camera, the lever arm of the mount is not "
-            "used"
+            "the point of the positions in the file; with camera, the lever arm of the mount is "
+            "not used"
         ),
         examples=["antenna"],
     )
