@@ -6,8 +6,8 @@ from unbend.messages import Message, fallback, note, warning
 AIR_AGED = Code(
     "AIR-AGED",
     means=(
-        "Some exposures were made hours after the air at their heights was sampled, or far away "
-        "from that place."
+        "Some exposures were made more than half an hour before or after the air at their heights "
+        "was sampled, or more than 18 km from that place."
     ),
     effect="The sigmas of the air of these exposures grow with that time and distance.",
     remedy="Climb or descend through the air more often, or add a sounding of the time and place.",
