@@ -305,10 +305,10 @@ class GeoidGrid:
     def deflection(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
         """Deflection of the vertical to the north (xi) and to the east (eta), both [rad].
 
-        The zenith of the plumb line is north and east of that of the ellipsoid by minus the slopes
-        of the geoid (Heiskanen & Moritz 1967, Eq. 2-204): here the mean slopes of a grid cell.
-        EGM96 at 15 minutes smooths over 28 km, in mountains by several arcseconds. Not defined at
-        the poles.
+        xi and eta are minus the slopes of the geoid to the north and to the east (Heiskanen & Moritz
+        1967, Eq. 2-204), here of the bilinear surface of a grid cell. The grid of EGM96 with 15
+        minutes smooths over 28 km: in mountains this is an error of several arcseconds. Not defined
+        at the poles.
         """
         cell = self._cell(lat_rad, lon_rad)
         north = cell.north_share

@@ -389,11 +389,11 @@ class _Leftovers:
             match = _OBJECT_OF_A_RUN.fullmatch(name)
             if match is None or self._is_published(match):
                 continue
-            group = name  # a run is one object
+            group = name  # of the record of a run (runs/....json), which is one object
             if match["attempt"]:
                 group = f"{match['start']}attempts/{match['attempt']}/"
             self.groups.setdefault(group, []).append(name)
-            if not self._is_ours(name, match):
+            if not self._is_of_this_program(name, match):
                 foreign.add(group)
         for group in foreign:
             del self.groups[group]
@@ -411,7 +411,7 @@ class _Leftovers:
             self._published[start] = names
         return (match["attempt"] or match["run"]) in self._published[start]
 
-    def _is_ours(self, name: str, match: re.Match[str]) -> bool:
+    def _is_of_this_program(self, name: str, match: re.Match[str]) -> bool:
         """Whether a run of this program wrote an object; ``match`` is that of its name.
 
         A file of an attempt is recognised by its name, a run object by its content.

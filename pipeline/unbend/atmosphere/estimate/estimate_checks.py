@@ -116,7 +116,8 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
 def _does_not_overturn(made: Estimate, height: Array) -> Check:
     """Whether air is stable: over 500 m' its temperature falls at most as the dry adiabat.
 
-    More is allowed up to 3 sigma. ``height`` (n,): [m'], 50 m' apart, from the ground up.
+    More is allowed up to 3 sigma. ``height`` (n,): geopotential heights 50 m' apart, from the ground
+    up [m'].
     """
     steps = round(OVERTURNING_M / _STEP_M)
     if height.size <= steps:
@@ -124,7 +125,7 @@ def _does_not_overturn(made: Estimate, height: Array) -> Check:
     h = made.profile.gravity.height(height)
     t = made.profile.temperature(h)
     edge = made.profile.layers.edge
-    # One sigma of T(h) - T(h + 500 m) [K]; that of T_M is nearly the same.
+    # Sigma [K] of T_M(H) - T_M(H + 500 m'), used for that of T, which is nearly the same.
     weights = interpolation_weights(edge, height[:-steps]) - interpolation_weights(
         edge, height[steps:]
     )

@@ -140,9 +140,10 @@ def sample_ages(
 ) -> list[SampleAges]:
     """Age and distance of the sampled air from ground to camera, at each of some times [Unix ns].
 
-    ``h_g``, ``h_c``: heights of ground and camera [m above sea level]. The nearest reading of
-    thermometer or barometer counts, before or after the time, in bins of 100 m. ``path`` gives the
-    distances; without it they are 0. Without any reading all air counts as fresh.
+    ``h_g``, ``h_c``: heights of ground and camera [m above sea level]. In each bin of 100 m between
+    them, the reading of thermometer or barometer counts that is nearest in time (before or after)
+    and distance together. ``path`` gives the distances; without it they are 0. Without any reading
+    all air counts as fresh.
     """
     visits = visits_of(samples)
     if visits.minute.size == 0:

@@ -151,7 +151,7 @@ def _text(value: bytes) -> str:
 
 
 def merge_tables(several: list[Table]) -> Table:
-    """The tables of all definitions of a message as one table.
+    """The tables of all definitions of a message as one table; ``several`` are emptied.
 
     A table without the field of instances, which others have, gets it with -1 in all rows: NaN in
     these rows would make the joined field floats.

@@ -453,17 +453,18 @@ def _maps_to_utc(
 def _without_wraps(
     boot_ns: TimeArray, stamped_ns: TimeArray, sender: Sender, ledger: Ledger
 ) -> TimeArray:
-    """(n,) times since boot [ns] that go on where the 32-bit count of milliseconds wrapped.
+    """(n,) times since boot [ns] that keep increasing where the 32-bit count of milliseconds wraps.
 
-    A new boot starts near zero too, but not exactly when the count was full by the stamps of the
-    ground station, ``stamped_ns``.
+    A new boot starts near zero too. It is told from a wrap by ``stamped_ns``, the stamps of the
+    ground station: at a wrap both clocks advance by the same, within `MAX_MISFIT_NS`. The wraps
+    before a new boot stay added after it.
     """
     step_ns = np.diff(boot_ns)
     # 1 where the count wrapped, -1 where an overtaken message still has a time before that.
     wraps_in_step = np.rint(-step_ns / WRAP_OF_MS_NS).astype(np.int64)
     unexplained_ns = step_ns + wraps_in_step * WRAP_OF_MS_NS - np.diff(stamped_ns)
-    is_new_boot = np.abs(unexplained_ns) > MAX_MISFIT_NS
-    wraps_in_step[is_new_boot] = 0
+    is_no_wrap = np.abs(unexplained_ns) > MAX_MISFIT_NS
+    wraps_in_step[is_no_wrap] = 0
     if not wraps_in_step.any():
         return boot_ns
     wraps = np.append(0, np.cumsum(wraps_in_step))

@@ -154,10 +154,11 @@ def read_places(path: Path) -> tuple[KnownPlaces, ...]:
 
 
 def _refuse_utm(path: Path, table: OrientationTable) -> None:
-    """Refuse shots whose gps_position is far more likely in the UTM of ODM's coords.txt.
+    """Refuse a reconstruction whose camera centres are in UTM, not in east, north, up.
 
-    All shots decide together: the convergence of a grid moves a shot of a small block by less than
-    the error of a receiver.
+    The centres are compared with the gps_position of the shots in both frames; that of UTM has the
+    offset of ODM's coords.txt. All shots are compared together: in a small block the frames differ
+    by less than the error of a receiver at one shot.
     """
     coords = path.parent / _COORDS
     places = read_places(path)
