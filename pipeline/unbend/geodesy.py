@@ -305,8 +305,8 @@ class GeoidGrid:
     def deflection(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
         """Deflection of the vertical to the north (xi) and to the east (eta), both [rad].
 
-        xi and eta are minus the slopes of the geoid to the north and to the east (Heiskanen & Moritz
-        1967, Eq. 2-204), here of the bilinear surface of a grid cell. The grid of EGM96 with 15
+        xi and eta are minus the slopes of the geoid to the north and east (Heiskanen & Moritz 1967,
+        Eq. 2-204), here of the bilinear surface of a grid cell. The grid of EGM96 with 15
         minutes smooths over 28 km: in mountains this is an error of several arcseconds. Not defined
         at the poles.
         """

@@ -169,7 +169,7 @@ class Stations:
     def as_suspect(self, where: Mask, reason: str, off_m: float | Array, *, use: bool) -> Stations:
         """Mark the stations for which ``where`` (s,) is True as suspect.
 
-        Marks stations that are usable (`ok`); with ``use`` False also those that are suspect already.
+        Marks stations that are usable (`ok`); with ``use`` False also those already suspect.
         ``use`` True leaves marked stations usable (`ok`). ``off_m`` is how far off they may be [m],
         NaN where unknown. The reason is added to those that a station has.
         """

@@ -116,8 +116,8 @@ def is_plausible(made: Estimate, background: Climatology) -> Check:
 def _does_not_overturn(made: Estimate, height: Array) -> Check:
     """Whether air is stable: over 500 m' its temperature falls at most as the dry adiabat.
 
-    More is allowed up to 3 sigma. ``height`` (n,): geopotential heights 50 m' apart, from the ground
-    up [m'].
+    More is allowed up to 3 sigma. ``height`` (n,): geopotential heights [m'], 50 m' apart, from the
+    ground up.
     """
     steps = round(OVERTURNING_M / _STEP_M)
     if height.size <= steps:
