@@ -27,7 +27,7 @@ class Unread:
     path: Path
 
     @property
-    def words(self):
+    def run_arguments(self):
         return (str(self.path),)
 
 

@@ -6,7 +6,7 @@ from tests.helpers import refused
 from unbend.batch.folders_as_files import folder_refusal
 from unbend.batch.input_files import NamedInput
 from unbend.batch.object_store import Place
-from unbend.batch.plan import look_up, refuse_missing
+from unbend.batch.plan import look_up_input, refuse_missing
 
 LOG = NamedInput("log", "log.path", "flight/")
 TABLE = NamedInput("observations", "observations.path", "tables")
@@ -61,4 +61,4 @@ def test_the_results_of_a_run_are_no_measurements(folder):
 
 def test_a_folder_of_object_storage_is_none_of_its_objects():
     with refused("INPUT-FOLDER"):
-        look_up(LOG, Place.of("s3://flights/2026/"))
+        look_up_input(LOG, Place.of("s3://flights/2026/"))

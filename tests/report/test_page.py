@@ -153,7 +153,7 @@ def flown(air) -> Flown:
         counts={"ok": 5, "suspect": 1, "unusable": 1},
         track=track,
         footprints={"belly": corners, "tail": corners + 0.01},
-        seen=4,
+        footprint_count=4,
         limits_deg=(8.60, 8.65, -47.44, -47.39),
         relief=None,
         air=air_curves(air, SAMPLES, np.array([700.0, 3700.0])),

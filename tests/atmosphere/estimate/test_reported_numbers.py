@@ -71,7 +71,7 @@ def test_the_level_of_pressures_is_judged_at_sea_level(sigmas, kind):
         spread=SimpleNamespace(pressure_ratio=0.01),
     )
     readings = np.add(profile.pressure(HEIGHTS_M), [100.0, -200.0, 400.0])
-    message = pressure_level(profile, background, sensor("BARO[1]", readings))
+    message = pressure_level(profile, background, sensor("BARO[1]", readings), other_sources=())
     assert message.kind is kind
     assert message.where == "BARO[1]"
     assert message.count == 3

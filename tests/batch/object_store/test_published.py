@@ -106,7 +106,7 @@ class Killed(BaseException):
 
 
 def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
-    answered = place_module.answered
+    call_store = place_module.call_store
     number = 0
     while True:
         number += 1
@@ -119,10 +119,10 @@ def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
             left -= 1
             if left <= 0:
                 raise Killed
-            return answered(*arguments, **options)
+            return call_store(*arguments, **options)
 
         with monkeypatch.context() as patch:
-            patch.setattr(place_module, "answered", counted)
+            patch.setattr(place_module, "call_store", counted)
             with suppress(Killed):
                 publish(results, tmp_path, 1)
         seen = verify_run(results)
