@@ -455,7 +455,7 @@ def _without_wraps(
 ) -> TimeArray:
     """(n,) times since boot [ns] that keep increasing where the 32-bit count of milliseconds wraps.
 
-    A new boot starts near zero too. It is told from a wrap by ``stamped_ns``, the stamps of the
+    A new boot starts near zero too. It differs from a wrap by ``stamped_ns``, the stamps of the
     ground station: at a wrap both clocks advance by the same, within `MAX_MISFIT_NS`. The wraps
     before a new boot stay added after it.
     """

@@ -932,10 +932,9 @@ TIES_RESIDUALS = Code(
 ORIENTATION_TIES = Code(
     "ORIENTATION-TIES",
     means=(
-        "How far the rays of tie points miss each other with the orientations of the table. With "
-        "those of GNSS and inertial sensors a few pixels are usual (0.008 degrees are 2.8 px at "
-        "20,000 px of principal distance), with those of an adjusted block less than one. It is a "
-        "finding if the rays do not intersect, however the table is read."
+        "How far the rays of tie points miss each other with the orientations of the table. A few "
+        "pixels are usual with those of GNSS and inertial sensors, less than one with an adjusted "
+        "block. It is a finding if the rays do not intersect, however the table is read."
     ),
     effect=(
         "A note has none. After a finding the run ends with 3: the corrections use wrong stations "
