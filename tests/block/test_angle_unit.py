@@ -20,9 +20,9 @@ class Flight:
         self.heading = heading
         self.usable = np.full(heading.size, True)
 
-    def is_in_radians(self, stated_heading, heading_sign=1.0):
-        level = np.full(self.heading.size, 0.01)
-        stated = np.stack([level, level, stated_heading], axis=1)
+    def is_in_radians(self, stated_heading, heading_sign=1.0, tilt=0.01):
+        tilts = np.full(self.heading.size, tilt)
+        stated = np.stack([tilts, tilts, stated_heading], axis=1)
         return are_radians(
             stated,
             heading_sign,
@@ -90,6 +90,11 @@ def test_a_copter_that_keeps_its_heading_is_not_in_radians(flight):
     heading_deg = draw.normal(0.0, 2.0, flight.heading.size)
 
     assert not flight.is_in_radians(heading_deg)
+
+
+@pytest.mark.parametrize(("tilt", "possible"), [(1.5, True), (1.7, False), (-1.7, False)])
+def test_a_copter_that_leans_along_its_lines_is_not_in_radians(flight, tilt, possible):
+    assert flight.is_in_radians(flight.heading, tilt=tilt) == possible
 
 
 @pytest.mark.parametrize("directions", [(1,), (1, 1, 1)])

@@ -111,8 +111,7 @@ LOOK = """() => {
     if (!seen(e) || e.closest("[aria-hidden]") || aside(e.closest("thead"))) continue;
     const box = e.getBoundingClientRect();
     if (box.right > wide + 0.5 || box.left < -0.5)
-      out.push(`${e.tagName} ${e.getAttribute("class")} ${box.left} to ${box.right}:
-        ${e.textContent.slice(0, 40)}`);
+      out.push([e.tagName, e.getAttribute("class"), box.left, box.right, e.textContent].join(" "));
     if (!(e instanceof SVGElement) && e.scrollWidth > e.clientWidth + 1 && e.clientWidth > 0)
       out.push(`${e.tagName} ${e.scrollWidth} in ${e.clientWidth}: ${e.textContent.slice(0, 40)}`);
   }

@@ -8,6 +8,7 @@ import pytest
 
 from tests.helpers import with_code
 from tests.stages.other_logs import read_folder
+from unbend.batch.rehearsal import camera_text
 from unbend.library import corrected_table
 from unbend.messages import Kind, Ledger
 from unbend.stages.plausibility.cabin_windows import windows_of_compartments
@@ -84,6 +85,20 @@ def test_cameras_of_which_all_is_stated(forgotten, stated):
     for camera in forgotten.config["cameras"].values():
         camera.update(stated)
     assert checked(forgotten) == []
+
+
+def test_a_stated_null_of_all_cameras_is_no_finding_but_a_note(forgotten):
+    for camera in forgotten.config["cameras"].values():
+        camera["window"] = None
+
+    shown = forgotten.checked()
+
+    (note,) = with_code(shown.corrected.prepared.ledger, "WINDOW-NONE-STATED")
+    assert note.kind is Kind.NOTE
+    assert "BARO[1] is in a closed compartment" in note.what
+    assert note.where == "cameras.nadir.window, cameras.oblique.window"
+    for name in ("nadir", "oblique"):
+        assert camera_text(shown.corrected.facts, name).endswith(", no window (stated)")
 
 
 def test_a_barometer_that_is_named_as_the_one_outside(forgotten):

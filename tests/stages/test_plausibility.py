@@ -37,6 +37,7 @@ from unbend.stages.plausibility.rules import (
     are_sides_exchanged,
     distortion,
     field_of_view,
+    heights_of_weather_stations,
     median_distance_km,
 )
 from unbend.stages.story import prepare_mission
@@ -342,6 +343,39 @@ def test_air_that_is_none_is_blamed_on_what_is_there(sources, where, named):
     (finding,) = air_of(3.0, 0.02, sources)
     assert finding.where == where
     assert finding.what.endswith("unit of " + named)
+
+
+# ---- weather stations
+
+
+@pytest.mark.parametrize(
+    ("station_m", "ground_m", "takeoff_m", "warned"),
+    [
+        (1417.0, 432.0, None, True),
+        (1417.0, 900.0, 432.0, True),
+        (1417.0, 640.0, None, False),
+        (1417.0, 432.0, 1200.0, False),
+        (700.0, 432.0, None, False),
+        (1417.0, math.nan, None, False),
+    ],
+    ids=["ground", "take-off", "neither", "on a hill", "near", "unknown"],
+)
+def test_a_station_height_that_fits_in_feet_only(station_m, ground_m, takeoff_m, warned):
+    """The station in Zurich is at 1,417 ft, 432 m."""
+    station = SimpleNamespace(h_msl_m=station_m)
+    facts = facts_of(
+        mission=SimpleNamespace(atmosphere=SimpleNamespace(surface=[station])),
+        rows=SimpleNamespace(h_g_m=np.array([ground_m, ground_m + 1.0, ground_m - 1.0])),
+        takeoff=None if takeoff_m is None else SimpleNamespace(h_msl_m=takeoff_m),
+    )
+
+    warnings = list(heights_of_weather_stations(facts))
+
+    assert len(warnings) == warned
+    for warning in warnings:
+        assert warning.kind is Kind.WARNING
+        assert "1417 ft are 432 m" in warning.what
+        assert warning.where == "atmosphere.surface[0].h_msl_m"
 
 
 # ---- cameras

@@ -42,6 +42,7 @@ class Plan:
     output : the folder of the results, or a place in object storage.
     camera_names : the mission's name of each camera, by the camera's name in a block.
     text_sha256 : hash of the mission file that the mission was read from; "" if unknown.
+    file : the mission file, or the campaign file that names the mission; None if unknown.
     remotes : the inputs in object storage, by their roles.
     """
 
@@ -50,6 +51,7 @@ class Plan:
     output: Path | Place
     camera_names: Mapping[str, str] = field(default_factory=dict)
     text_sha256: str = ""
+    file: Path | None = None
     remotes: Mapping[str, RemoteInput] = field(default_factory=dict)
 
     @cached_property
@@ -78,6 +80,18 @@ class Plan:
         key = hashlib.sha256(url.encode()).hexdigest()[:32]
         return Path(user_cache_folder()) / "results" / key / "run"
 
+    @property
+    def file_from_output(self) -> str:
+        """The path of the mission file from the folder of the results; "" if there is none.
+
+        None for results at a URL or an absolute path, which may be on another disk.
+        """
+        if self.file is None or isinstance(self.output, Place):
+            return ""
+        if Path(self.mission.output.path).is_absolute():
+            return ""
+        return Path(os.path.relpath(self.file, self.output)).as_posix()
+
     def input(self, role: str) -> Input:
         """The input of a role, as `named_inputs` names it: ``log``, ``sounding 1``, ..."""
         return next(item for item in self.inputs if item.role == role)
@@ -87,6 +101,7 @@ class Plan:
         return Identity(
             manifest_version=MANIFEST_VERSION,
             mission=self.mission.mission.name,
+            mission_file=self.file_from_output,
             fingerprint=self.fingerprint,
             mission_file_sha256=self.text_sha256,
             config=self.config,
@@ -121,14 +136,19 @@ def output_of(mission: Mission, folder: Path) -> Path | Place:
 
 
 def make_plan(
-    mission: Mission, folder: Path, *, verify: bool = False, text_sha256: str = ""
+    mission: Mission,
+    folder: Path,
+    *,
+    verify: bool = False,
+    text_sha256: str = "",
+    file: Path | None = None,
 ) -> Plan:
     """Hash the inputs of a mission; relative paths resolve from ``folder``, the mission file's.
 
     An input that has the size and the time of its record in the manifest of an earlier run is not
     read, and keeps the hash of that record; with ``verify`` each input is read. ``text_sha256`` is
-    the hash of the mission file; "" if unknown. Refuses inputs that are missing or cannot be read,
-    and results that would replace an input.
+    the hash of the mission file, "" if unknown, and ``file`` that file, or its campaign file.
+    Refuses inputs that are missing or cannot be read, and results that would replace an input.
     """
     output = output_of(mission, folder)
     refuse_among_results("mission", folder, output)
@@ -157,6 +177,7 @@ def make_plan(
         output=output,
         camera_names=camera_names_by_block(mission),
         text_sha256=text_sha256,
+        file=file,
         remotes=remotes,
     )
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from unbend.atmosphere.layers import stack_layers
 from unbend.atmosphere.profile import Profile
 from unbend.batch.runs import CheckedMission
+from unbend.config.stated_nulls import cameras_of_stated_null
 from unbend.flight.stations import NO_TIME
 from unbend.refraction.calibration import field_of_view
 from unbend.refraction.image import Corrections
@@ -200,10 +201,13 @@ def camera_text(facts: Facts, name: str) -> str:
         half_rad = min(view_rad / 2.0, math.radians(_WIDEST_DEG))
         angles.append(f"{math.degrees(view_rad):.0f}")
         sizes.append(f"{distance_m * 2.0 * math.tan(half_rad):.0f}")
-    return (
+    text = (
         f"{name} {' x '.join(angles)} deg, {distance_m / camera.fx_px:.2g} m a pixel, "
         f"{' x '.join(sizes)} m across the axis"
     )
+    if name in cameras_of_stated_null(facts.mission):
+        text += ", no window (stated)"
+    return text
 
 
 def times_text(corrected: CorrectedMission) -> str:

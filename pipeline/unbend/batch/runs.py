@@ -76,7 +76,13 @@ def plan_of(mission: AnyMission, *, verify: bool = False) -> Plan:
         return make_plan(mission, folder_of(mission), verify=verify)
     ref = MissionRef.of(mission)
     loaded = load(ref)
-    return make_plan(loaded.mission, ref.folder, verify=verify, text_sha256=loaded.text_sha256)
+    return make_plan(
+        loaded.mission,
+        ref.folder,
+        verify=verify,
+        text_sha256=loaded.text_sha256,
+        file=Path(ref.campaign) if ref.campaign else ref.path,
+    )
 
 
 def run_and_publish(plan: Plan, *, place: Place, force: bool, progress: Progress) -> Outcome:
@@ -226,10 +232,13 @@ def update_input_records(plan: Plan, folder: store.RunFolder, manifest: Manifest
     before = manifest.run
     # The plan of a mission that was loaded earlier has no hash of the file: the old one stays.
     file_sha256 = now.mission_file_sha256 or before.mission_file_sha256
-    if before.inputs == now.inputs and before.mission_file_sha256 == file_sha256:
+    file = now.mission_file or before.mission_file
+    is_same_file = (before.mission_file, before.mission_file_sha256) == (file, file_sha256)
+    if before.inputs == now.inputs and is_same_file:
         return manifest
     values_now = {
         "inputs": [asdict(record) for record in now.inputs],
+        "mission_file": file,
         "mission_file_sha256": file_sha256,
     }
     manifest_now = manifest.with_values(values_now)

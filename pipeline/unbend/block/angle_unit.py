@@ -12,9 +12,10 @@ from unbend.geodesy import wrapped
 from unbend.units import Array, Mask
 
 FEWEST_IMAGES = 6  # inside flight lines: fewer could follow them in the wrong unit by chance
-FULL_TURN_RAD = math.tau  # no angle in a file of radians is larger
+FULL_TURN_RAD = math.tau  # no heading in a file of radians is larger
 FOLLOWED = 0.9  # least concentration of course minus heading, if the headings follow the course
 LARGEST_TURN_RAD = math.pi / 4.0  # at an image that is inside a flight line
+LEVEL_RAD = math.pi / 2.0  # no tilt of a camera that looks down is larger
 UNRELATED = 0.5  # largest concentration of course minus heading, if they do not follow it
 
 
@@ -51,6 +52,13 @@ def concentration(angle_rad: Array) -> float:
     return float(np.abs(np.mean(unit_vectors)))
 
 
+def _can_be_radians(stated: Array) -> bool:
+    """Whether (n, 3) angles, those of the heading last, could be angles of images in radians."""
+    largest_tilt = np.abs(stated[:, :2]).max()
+    largest_heading = np.abs(stated[:, 2]).max()
+    return bool(largest_tilt < LEVEL_RAD and largest_heading <= FULL_TURN_RAD)
+
+
 def are_radians(
     stated: Array,
     heading_sign: float,
@@ -60,7 +68,8 @@ def are_radians(
 ) -> bool:
     """Whether angles that are stated in degrees or gon follow the flight lines only as radians.
 
-    False for fewer than six images inside flight lines. False too where all flight lines have one
+    False for tilts that a camera that looks down cannot have in radians (1.57 or more), and for
+    fewer than six images inside flight lines. False too where all flight lines have one
     direction: then both units are possible.
 
     Parameters
@@ -70,7 +79,7 @@ def are_radians(
     lat_rad, lon_rad : (n,) positions of the images of one camera, in the order of the flight.
     usable : (n,) whether an image is compared.
     """
-    if not usable.any() or np.abs(stated[usable]).max() > FULL_TURN_RAD:
+    if not usable.any() or not _can_be_radians(stated[usable]):
         return False
     course_rad = courses(lat_rad[usable], lon_rad[usable])
     is_on_line = np.isfinite(course_rad)

@@ -16,14 +16,20 @@ def cameras_of_unstated_window(mission: Mission) -> tuple[str, ...]:
     return tuple(names)
 
 
+def cameras_of_stated_null(mission: Mission) -> tuple[str, ...]:
+    """The cameras for which the mission file states ``window: null``."""
+    names = []
+    for name, camera in mission.cameras.items():
+        if camera.window is None and "window" in camera.model_fields_set:
+            names.append(name)
+    return tuple(names)
+
+
 def stated_nulls(mission: Mission) -> tuple[str, ...]:
     """The keys that are stated as null, if that means something else than an absent key."""
     keys = []
     if mission.log is not None:
         for role in sorted(mission.log.channels.unused_roles):
             keys.append(f"log.channels.{role}")
-    for name, camera in mission.cameras.items():
-        stated = camera.model_fields_set
-        if camera.window is None and "window" in stated:
-            keys.append(f"cameras.{name}.window")
+    keys += [f"cameras.{name}.window" for name in cameras_of_stated_null(mission)]
     return tuple(keys)

@@ -19,6 +19,7 @@ from pathlib import Path
 from unbend.batch import store
 from unbend.batch.finished_run import messages
 from unbend.batch.finished_run.export import copy_of_run, refuse_output
+from unbend.batch.finished_run.later_changes import notes_on_changes
 from unbend.batch.remote import Place
 from unbend.batch.results import verify_run
 from unbend.errors import ConfigError
@@ -79,6 +80,7 @@ def deliver_report(
         raise messages.report_ending(path=str(out), ending=ending)
     refuse_output(folder, out, force=force)
     ledger = Ledger()
+    ledger.extend(notes_on_changes(folder, manifest))
     text = (folder / REPORT).read_text(encoding="utf-8")
     if PROCESSED not in text:
         ledger.add(messages.report_without_date(path=str(folder / REPORT)))

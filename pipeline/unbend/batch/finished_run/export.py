@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.batch import remote, store
 from unbend.batch.finished_run import messages
+from unbend.batch.finished_run.later_changes import notes_on_changes
 from unbend.batch.finished_run.read_back import air_of, mission_of, stations_of
 from unbend.batch.manifest import manifest_text
 from unbend.batch.messages import input_changed, url_for_export
@@ -107,6 +108,7 @@ def export_run(
     ledger = Ledger()
     progress.start("checking the results")
     manifest = verify_run(folder)
+    ledger.extend(notes_on_changes(folder, manifest))
     run = rebuild_run(folder, manifest, ground_height_m, ledger, progress)
     run = replace(run, grid=ledger.take(grid_of_export(run, form, system)))
     with store.atomic_write(out) as draft:
@@ -326,15 +328,11 @@ def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Arr
 def database_of(mission: Mission, manifest: Manifest, path: Path) -> Path | None:
     """COLMAP's database that the run read; None if it read none, or it is gone or changed.
 
-    ``path`` is the run's folder. The mission file may be gone. Its paths are relative to its
-    folder, which is unknown, so the database is located relative to the results.
+    ``path`` is the run's folder. The database is where the mission file names it; the mission file
+    itself may be gone.
     """
-    mission_folder = Path("/?/?/?/?/?")  # a stand-in for the unknown one; has room for five ".."
-    database = mission.observations.path
-    if not os.path.isabs(database):
-        results = mission_folder / mission.output.path
-        database = os.path.relpath(mission_folder / database, results)
-    file = path / database
+    mission_folder = (path / manifest.run.mission_file).parent
+    file = mission_folder / mission.observations.path
     if file.suffix.lower() != ".db" or not file.is_file():
         return None
     hashes_read = {item.sha256 for item in manifest.run.inputs if item.role == "observations"}

@@ -1,7 +1,9 @@
 """Refusals and notes of exports of a finished run."""
 
+from collections.abc import Sequence
+
 from unbend.errors import Code, ConfigError, MissionError
-from unbend.messages import Message, fallback, note
+from unbend.messages import Message, fallback, note, warning
 
 EXPORT_CONFIG = Code(
     "EXPORT-CONFIG",
@@ -41,6 +43,15 @@ EXPORT_NOT_REPRODUCED = Code(
     means="The corrections of the run differ when they are computed again.",
     effect="The export is refused.",
     remedy="Run the mission again with this version, then export.",
+)
+EXPORT_STALE = Code(
+    "EXPORT-STALE",
+    means=(
+        "The mission file, or one of its inputs, has changed since the run. An export or report is "
+        "of the run, so of the values before."
+    ),
+    effect="The export or report is written as it was asked for.",
+    remedy="Run the mission again, then export.",
 )
 EXPORT_USE = Code(
     "EXPORT-USE",
@@ -147,6 +158,17 @@ def not_reproduced(*, path: str, largest_px: float) -> MissionError:
         where=path,
         remedy="the run was made by another version: run the mission again, then export",
         largest_px=largest_px,
+    )
+
+
+def changed_since_run(*, file: str, changes: Sequence[str]) -> Message:
+    """Mission file or inputs have changed since the run; ``changes`` are texts on each."""
+    return warning(
+        EXPORT_STALE,
+        "this is from the run before these changes: {listed_changes}; `unbend run {where}` uses "
+        "them",
+        where=file,
+        listed_changes="; ".join(changes),
     )
 
 

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
-from unbend.config.stated_nulls import cameras_of_unstated_window
+from unbend.config.stated_nulls import cameras_of_stated_null, cameras_of_unstated_window
 from unbend.flight.compartments import Compartment, closed_compartments
 from unbend.messages import Message
 from unbend.stages.cabin_air import USUAL_TEMPERATURE_K
@@ -21,31 +22,50 @@ def windows_of_compartments(facts: Facts) -> Iterator[Message]:
     """A finding if the log shows a closed compartment, and cameras have no statement of a window.
 
     At most one finding, on the first compartment with a window that would shift points measurably.
-    Nothing is compared in missions that name the barometer of the cabin: the rule `windows` does.
+    In its place a note, if all cameras without a window are stated to have none. Nothing is
+    compared in missions that name the barometer of the cabin: the rule `windows` does.
     """
     mission = facts.mission
     if mission.log is None or mission.log.channels.cabin_pressure is not None:
         return
+    message = messages.window_unstated
     cameras = cameras_of_unstated_window(mission)
+    if not cameras:
+        message = messages.window_stated_null
+        cameras = cameras_of_stated_null(mission)
     if mission.windows or not cameras or facts.height is None:
         return
     outside_channel = mission.log.channels.named().get("pressure")
     for compartment in closed_compartments(facts.channels, facts.height):
         if outside_channel is not None and outside_channel.name == compartment.barometer:
             continue  # the mission file states that this barometer is outside
-        finding = window_of_compartment(facts, compartment, cameras)
-        if finding is not None:
-            yield finding
+        effect = effect_of_window(facts, compartment, cameras)
+        if effect is not None and effect.shift_px >= SMALLEST_SHIFT_PX:
+            keys = [f"cameras.{name}.window" for name in cameras]
+            yield message(
+                where=", ".join(keys),
+                barometer=compartment.barometer,
+                inside_hpa=effect.inside_pa / HECTOPASCAL,
+                outside_hpa=effect.outside_pa / HECTOPASCAL,
+                shift_px=effect.shift_px,
+            )
             return
 
 
-def window_of_compartment(
-    facts: Facts, compartment: Compartment, cameras: tuple[str, ...]
-) -> Message | None:
-    """The finding that ``cameras`` in a closed compartment need a window.
+class WindowEffect(NamedTuple):
+    """Pressures on both sides of a window, and its shift of points halfway to the corner."""
 
-    None if a window would shift points too little to be measured, or if the compartment has no
-    pressure at the height of the cameras.
+    inside_pa: float
+    outside_pa: float
+    shift_px: float
+
+
+def effect_of_window(
+    facts: Facts, compartment: Compartment, cameras: tuple[str, ...]
+) -> WindowEffect | None:
+    """What a window would do if ``cameras`` are in a closed compartment.
+
+    At the median height of the cameras. None if the compartment has no pressure there.
     """
     profile = facts.adjustment.profile
     heights_m = facts.exposures.height_m[facts.stations.ok]
@@ -61,16 +81,10 @@ def window_of_compartment(
     refractivity_inside = float(profile.index.refractivity(USUAL_TEMPERATURE_K, inside_pa, 0.0))
     refractivity_outside = float(profile.refractivity(height_m))
     difference = abs(refractivity_inside - refractivity_outside)
-    shift_px = difference * halfway_to_corner_px(facts, cameras)
-    if shift_px < SMALLEST_SHIFT_PX:
-        return None
-    keys = [f"cameras.{name}.window" for name in cameras]
-    return messages.window_unstated(
-        where=", ".join(keys),
-        barometer=compartment.barometer,
-        inside_hpa=inside_pa / HECTOPASCAL,
-        outside_hpa=float(profile.pressure(height_m)) / HECTOPASCAL,
-        shift_px=shift_px,
+    return WindowEffect(
+        inside_pa=inside_pa,
+        outside_pa=float(profile.pressure(height_m)),
+        shift_px=difference * halfway_to_corner_px(facts, cameras),
     )
 
 

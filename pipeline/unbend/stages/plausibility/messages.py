@@ -401,6 +401,42 @@ def window_unstated(
     )
 
 
+WINDOW_NONE_STATED = Code(
+    "WINDOW-NONE-STATED",
+    means=(
+        "The mission file states that there is no window (window: null), but the log has a "
+        "barometer in a closed compartment."
+    ),
+    effect="No window is computed, as stated.",
+    remedy="If the cameras are in that compartment, state window and log.channels.cabin_pressure.",
+)
+
+
+def window_stated_null(
+    *,
+    where: str,
+    barometer: str,
+    inside_hpa: float,
+    outside_hpa: float,
+    shift_px: float,
+) -> Message:
+    """A barometer is in a closed compartment, and the mission file states that no window is."""
+    return note(
+        WINDOW_NONE_STATED,
+        (
+            "window: null is stated, so no window is computed. {barometer} is in a closed "
+            "compartment: at the height of the cameras it has {inside_hpa:.0f} hPa, and the air "
+            "outside {outside_hpa:.0f} hPa. A window would shift points by about {shift_px:.2f} px "
+            "halfway to the corner of the image"
+        ),
+        where=where,
+        barometer=barometer,
+        inside_hpa=inside_hpa,
+        outside_hpa=outside_hpa,
+        shift_px=shift_px,
+    )
+
+
 def window_leans(*, where: str, name: str, tilt: float) -> Message:
     """A window with a normal that is ``tilt`` deg from the optical axis."""
     return finding(
@@ -742,6 +778,35 @@ def accepted_code_unused(*, where: str, accepted_code: str) -> Message:
         "{accepted_code} is accepted, but this run has no such finding",
         where=where,
         accepted_code=accepted_code,
+    )
+
+
+SURFACE_FEET = Code(
+    "SURFACE-FEET",
+    means="The height of a weather station fits the ground only if it is in feet.",
+    effect="The height is used as stated, in metres.",
+    remedy="Give atmosphere.surface h_msl_m in metres: feet times 0.3048.",
+)
+
+
+def station_height_in_feet(
+    *, where: str, stated_m: float, ground_m: float, converted_m: float
+) -> Message:
+    """A weather station at ``stated_m``, which is the height of the ground if it is in feet.
+
+    ``converted_m`` is the stated height from feet to metres.
+    """
+    return warning(
+        SURFACE_FEET,
+        (
+            "the station is stated {stated_m:.0f} m above sea level, but the ground of the flight "
+            "is at {ground_m:.0f} m: {stated_m:.0f} ft are {converted_m:.0f} m, so the height is "
+            "likely in feet"
+        ),
+        where=where,
+        stated_m=stated_m,
+        ground_m=ground_m,
+        converted_m=converted_m,
     )
 
 

@@ -62,6 +62,8 @@ SMALLEST_RANGE_RATIO = 0.7  # slant range over that of the heights
 LARGEST_RANGE_RATIO = 1.4
 MOST_FLAGGED = 0.2  # share of the rows, for one cause
 METRES_OF_A_FOOT = 0.3048
+STATION_AT_GROUND_M = 100.0  # a weather station in feet, converted: difference from the ground
+STATION_OFF_GROUND_M = 300.0  # and the same height read in metres
 
 
 def ground_against_takeoff(facts: Facts) -> Findings:
@@ -184,6 +186,37 @@ def likely_reading(off_m: float, ground_m: float, takeoff_m: float) -> str:
     if ground_m == 0.0 or unexplained_m > LIKELY_SHARE * abs(off_m):
         return "a wrong height, datum or unit in ground.height"
     return best
+
+
+def heights_of_weather_stations(facts: Facts) -> Findings:
+    """A warning for a weather station with a height that fits the ground only in feet.
+
+    The ground is that of the observations, or the take-off. In metres the station is more than
+    300 m from both, in feet within 100 m of one of them.
+    """
+    grounds_m = []
+    ground_m = facts.rows.h_g_m
+    if np.isfinite(ground_m).any():
+        grounds_m.append(float(np.nanmedian(ground_m)))
+    if facts.takeoff is not None:
+        grounds_m.append(facts.takeoff.h_msl_m)
+    if not grounds_m:
+        return
+    for number, station in enumerate(facts.mission.atmosphere.surface):
+        stated_m = station.h_msl_m
+        converted_m = stated_m * METRES_OF_A_FOOT
+        nearest_m = min(grounds_m, key=lambda height_m: abs(height_m - converted_m))
+        fits_in_feet = abs(nearest_m - converted_m) < STATION_AT_GROUND_M
+        fits_in_metres = any(
+            abs(height_m - stated_m) < STATION_OFF_GROUND_M for height_m in grounds_m
+        )
+        if fits_in_feet and not fits_in_metres:
+            yield messages.station_height_in_feet(
+                where=f"atmosphere.surface[{number}].h_msl_m",
+                stated_m=stated_m,
+                ground_m=nearest_m,
+                converted_m=converted_m,
+            )
 
 
 def field_of_view(facts: Facts) -> Findings:
@@ -464,6 +497,7 @@ RULES: tuple[Callable[[Facts], Findings], ...] = (
     ground_against_takeoff,
     ground_against_terrain,
     model_against_takeoff,
+    heights_of_weather_stations,
     field_of_view,
     principal_point,
     distortion,

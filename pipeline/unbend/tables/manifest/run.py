@@ -55,10 +55,16 @@ class InputRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """The values that identify a run; values that an older version did not write are empty."""
+    """The values that identify a run; values that an older version did not write are empty.
+
+    ``mission_file`` is the path of the mission file, or of its campaign file, from the folder of
+    the results. It is empty too for a mission that was made in memory, for results at a URL, and
+    for an absolute ``output.path``.
+    """
 
     manifest_version: int = 0
     mission: str
+    mission_file: str = ""
     fingerprint: str
     mission_file_sha256: str = ""
     config: Mapping[str, Any] = field(default_factory=dict)
