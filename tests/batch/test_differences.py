@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from unbend.batch import fingerprint
-from unbend.batch.differences import changed_inputs
+from unbend.batch.differences import changed_inputs, changed_versions
 from unbend.batch.runs import mission_status, run_mission
 
 
@@ -43,9 +43,15 @@ def test_each_change_is_named(done, monkeypatch):
     assert reasons(done) == [changed, f"numpy {original('numpy')} -> 0.1"]
 
 
-def test_another_version_of_unbend(done, monkeypatch):
+def test_another_source_code_of_unbend(done, monkeypatch):
     monkeypatch.setattr(fingerprint, "code_hash", lambda: "other")
-    assert reasons(done) == ["another version of unbend (0.2.0 -> 0.2.0)"]
+    assert reasons(done) == ["another source code of unbend 0.2.0"]
+
+
+def test_a_later_version_of_unbend():
+    before = {"unbend": "0.1.0", "code_sha256": "earlier"}
+    now = {"unbend": "0.2.0", "code_sha256": "other"}
+    assert list(changed_versions(now, before)) == ["another version of unbend (0.1.0 -> 0.2.0)"]
 
 
 def test_the_size_of_batches_changes_no_number(done):

@@ -12,6 +12,7 @@ from unbend.flight.image_names import (
     propose_differences,
     refuse_other_names,
     renamed_like_images,
+    shift_of_names,
 )
 
 
@@ -78,6 +79,18 @@ def test_composed_and_decomposed_names_are_the_same_image(of_events, observed):
     assert counted(notes) == [("note", "IMAGES-RENAMED", 1)]
     assert "a\\xcc\\x88" in notes[0].what
     assert renamed_like_images(changed, images, [], "events") == (changed, ())
+
+
+@pytest.mark.parametrize(
+    ("first_image", "images", "shift"),
+    [(2, 5, 1), (3, 5, 2), (0, 5, 1), (1, 5, 0), (1, 6, 0), (9, 5, 0)],
+    ids=["one later", "two later", "one earlier", "equal", "one more", "nothing in common"],
+)
+def test_names_that_are_shifted(first_image, images, shift):
+    """Exposures 1 to 5."""
+    exposures = [f"IMG_{number:02}" for number in range(1, 6)]
+    observed = [f"IMG_{number:02}" for number in range(first_image, first_image + images)]
+    assert shift_of_names(observed, exposures) == shift
 
 
 def test_names_that_look_alike_are_shown_with_their_bytes():

@@ -66,9 +66,12 @@ def changed_versions(
     names = sorted(versions.keys() | versions_of_run.keys())
     changed = [name for name in names if versions.get(name) != versions_of_run.get(name)]
     of_program = ("unbend", "code_sha256")
-    if any(name in changed for name in of_program):
+    version_now = versions["unbend"]
+    if "unbend" in changed:
         version_before = versions_of_run.get("unbend")
-        yield f"another version of unbend ({version_before} -> {versions['unbend']})"
+        yield f"another version of unbend ({version_before} -> {version_now})"
+    elif "code_sha256" in changed:
+        yield f"another source code of unbend {version_now}"
     for name in changed:
         if name not in of_program:
             text_before = _shown(versions_of_run.get(name))

@@ -395,10 +395,10 @@ def worker_lost(*, path: str, first: str, second: str, replay: str) -> MissionEr
 
 
 def no_answer(*, path: str, how: str) -> MissionError:
-    """The worker of a mission is silent, and no other one can run it; it is not tried again."""
+    """The worker of a mission is silent, and the mission is not given to another one again."""
     return MissionError(
         WORKER_LOST,
-        "this mission did not end: {how}, and no other worker can run it",
+        "this mission did not end: {how}, and it is not given to another worker again",
         where=path,
         remedy="let the worker go on, or stop it and start another one, then run again",
         how=how,

@@ -237,7 +237,10 @@ class Channel:
         )
 
     def to_pandas(self) -> Any:
-        """The channel as a pandas DataFrame indexed by UTC time."""
+        """The channel as a pandas DataFrame, indexed by time.
+
+        The index is UTC; in boots without UTC it is the time since boot, counted from 1970.
+        """
         import pandas as pd
 
         index = pd.DatetimeIndex(pd.to_datetime(self.time_ns, utc=True), name="time_utc")

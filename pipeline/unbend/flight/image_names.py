@@ -145,6 +145,26 @@ def propose_differences(images: Collection[str], known: Collection[str]) -> str:
     )
 
 
+def shift_of_names(images: Collection[str], known: Collection[str]) -> int:
+    """By how many names the images seem shifted against the exposures; 0 if they do not.
+
+    They seem shifted if as many images at one end of the names have no exposure as exposures at the
+    other end have no image, and all names between are common to both.
+
+    >>> shift_of_names(["b", "c", "d"], ["a", "b", "c"])
+    1
+    """
+    only_images = sorted(set(images).difference(known))
+    only_known = sorted(set(known).difference(images))
+    common = sorted(set(images).intersection(known))
+    shift = len(only_images)
+    if not common or shift == 0 or len(only_known) != shift:
+        return 0
+    is_forward = only_known[-1] < common[0] and common[-1] < only_images[0]
+    is_backward = only_images[-1] < common[0] and common[-1] < only_known[0]
+    return shift if is_forward or is_backward else 0
+
+
 def refuse_other_names(
     exposures: Mapping[str, Collection[str]],
     images: Iterable[str],

@@ -1060,7 +1060,7 @@ def images_unmatched(
     """Images of the observations without an exposure.
 
     ``unused`` : exposures without observations. ``like`` : an exposure with a similar name.
-    ``proposal`` : of `propose_differences`, "" without one.
+    ``proposal`` : of `propose_differences` or `names_shifted`, "" without one.
     """
     hint = ""
     if unused:
@@ -1077,6 +1077,14 @@ def images_unmatched(
         count=len(images),
         listed=first_names(names_in_bytes(images), 3),
         hint=hint,
+    )
+
+
+def names_shifted(*, shift: int) -> str:
+    """A hint that images and exposures of equal names may not belong to each other."""
+    return (
+        f"the names look shifted by {shift}: then every image has the exposure of another one; "
+        "check the first number of the images"
     )
 
 

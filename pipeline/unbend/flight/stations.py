@@ -15,7 +15,7 @@ from unbend.atmosphere.barometer_errors import NO_ERRORS, BarometerErrors
 from unbend.atmosphere.profile import Profile
 from unbend.atmosphere.series.profile_series import ProfileSeries
 from unbend.flight import messages
-from unbend.flight.image_names import propose_differences
+from unbend.flight.image_names import propose_differences, shift_of_names
 from unbend.geodesy import longitudes_near, offset_geodetic
 from unbend.messages import Message, Notes
 from unbend.notebook import html_table, new_axes
@@ -330,12 +330,17 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
     unknown = sorted(set(images).difference(stations.image.tolist()))
     if not unknown:
         return stations, tuple(notes)
+    known = stations.image.tolist()
+    proposal = propose_differences(unknown, known)
+    shift = shift_of_names(images, known)
+    if not proposal and shift:
+        proposal = messages.names_shifted(shift=shift)
     notes.append(
         messages.images_unmatched(
             images=unknown,
             unused=unused,
             like=_neighbour_by_name(stations, unknown[0]),
-            proposal=propose_differences(unknown, stations.image.tolist()),
+            proposal=proposal,
         )
     )
     image = np.array(unknown, dtype=object)

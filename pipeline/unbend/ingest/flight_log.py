@@ -126,7 +126,11 @@ class Log(Contents):
         raise messages.no_channel(path=str(self.path), name=name, available=available)
 
     def to_pandas(self, name: str) -> Any:
-        """One channel as a pandas DataFrame indexed by UTC time."""
+        """One channel as a pandas DataFrame, indexed by time.
+
+        The index is UTC; in boots without UTC it is the time since boot, counted from 1970 (see
+        ``has_utc``). Raises LogError (LOG-NO-CHANNEL).
+        """
         return self.channel(name).to_pandas()
 
     def message_types(self) -> dict[str, int]:

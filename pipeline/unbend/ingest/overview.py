@@ -38,10 +38,9 @@ def flight_of(
 
     Latitude and longitude are those of the first known position, to 0.001 degrees (100 m).
     ``lowest_m`` and ``highest_m`` above ``height_reference`` are the percentiles
-    `HEIGHT_PERCENTILES`. ``take_off_m`` above ``take_off_reference`` is ``home_m``, the take-off
-    height above sea level that the log states, if it is given; else the height at the begin of the
-    log if the vehicle is at rest there, and not hovering by the ``evidence``. Unknown values are
-    None; without any position the result is empty.
+    `HEIGHT_PERCENTILES`. ``duration_s`` is the time from the first sample of the position to the
+    last. The take-off is as of `_take_off`. Unknown values are None; without any position the
+    result is empty.
     """
     lat_rad = position["lat_rad"]
     lon_rad = position["lon_rad"]
@@ -53,17 +52,7 @@ def flight_of(
     if column is not None:
         heights_m = interpolate(height, column, position.time_ns, max_gap_s=MAX_HEIGHT_GAP_S)
     lowest_m, highest_m = _limits_of_heights(heights_m)
-    path = LoggedPath(
-        time_ns=position.time_ns,
-        latitude_rad=lat_rad,
-        longitude_rad=lon_rad,
-        h_msl_m=heights_m,
-    )
-    begin = takeoff_of(path, None, evidence)
     reference = _HEIGHT_REFERENCES.get(str(column))
-    take_off_m = home_m
-    if home_m is None and begin is not None:
-        take_off_m = begin.h_msl_m
     first = int(np.argmax(has_place))
     start_ns = int(position.time_ns[first])
     duration_s = (int(position.time_ns[-1]) - int(position.time_ns[0])) / NANOSECONDS_PER_SECOND
@@ -75,9 +64,40 @@ def flight_of(
         "height_reference": reference,
         "lowest_m": lowest_m,
         "highest_m": highest_m,
-        "take_off_m": None if take_off_m is None else round(take_off_m, 1),
-        "take_off_reference": reference if home_m is None else SEA_LEVEL,
-        "take_off_by": "begin of the log" if home_m is None else "home of the autopilot",
+        **_take_off(position, heights_m, reference, evidence, home_m),
+    }
+
+
+def _take_off(
+    position: Channel,
+    heights_m: Array,
+    reference: str | None,
+    evidence: GroundEvidence,
+    home_m: float | None,
+) -> dict[str, Any]:
+    """The height of the take-off, what it counts from, and how it is known.
+
+    It is ``home_m``, the height above sea level that the log states, if it is given. Else it is the
+    height at the begin of the log, above ``reference``, if the vehicle is at rest there, and not
+    hovering by the ``evidence``; None if it is not.
+    """
+    if home_m is not None:
+        return {
+            "take_off_m": round(home_m, 1),
+            "take_off_reference": SEA_LEVEL,
+            "take_off_by": "home of the autopilot",
+        }
+    path = LoggedPath(
+        time_ns=position.time_ns,
+        latitude_rad=position["lat_rad"],
+        longitude_rad=position["lon_rad"],
+        h_msl_m=heights_m,  # above `reference`; only its value at the begin is used
+    )
+    begin = takeoff_of(path, home_m=None, evidence=evidence)
+    return {
+        "take_off_m": None if begin is None else round(begin.h_msl_m, 1),
+        "take_off_reference": reference,
+        "take_off_by": "begin of the log",
     }
 
 

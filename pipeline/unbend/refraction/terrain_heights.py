@@ -265,11 +265,13 @@ def _arcs(rays: Array, distance_m: Array) -> Array:
 
 
 def _level_directions(rays: Array) -> Array:
-    """(2, n) east and north of the horizontal unit vectors of rays; 0, 0 at the nadir."""
+    """(2, n) unit vectors (east, north) along the horizontal directions of rays.
+
+    They are 0, 0 for vertical rays.
+    """
     sine = rays[NADIR_SINE]
-    divisor = np.where(sine > 0, sine, 1)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(rays[DIRECTION : DIRECTION + 2] / divisor)
+    length = np.where(sine > 0, sine, 1)  # the east and north parts of a vertical ray are 0
+    return np.asarray(rays[DIRECTION : DIRECTION + 2] / length)
 
 
 def _bent_paths(rays: Array, air: RayTable | None, *, steep: bool) -> _BentPaths:

@@ -51,7 +51,10 @@ DATAFLASH = LogFormat("dataflash", "ArduPilot DataFlash", (".bin",), _is_binary,
 
 
 def read_tables(path: Path, names: Collection[str] | None = None) -> dict[str, Table]:
-    """All messages of some types (``names`` None: of every type), with all fields and `PLACE`."""
+    """All messages of some types (``names`` None: of every type), with all fields and `PLACE`.
+
+    A table by the name of its type. A type without messages in the file has no table.
+    """
     with open_view(path) as data:
         walker = find_records(data, names)
         chosen = walker.message_counts() if names is None else names

@@ -167,6 +167,25 @@ def _steps_back_at(line: Timeline, starts: Rows, samples: TopicSamples) -> Mask:
     return steps_back
 
 
+def clock_of_stamps(line: Timeline) -> BootClock:
+    """The clock of messages with stamps in Unix time, which are used unchanged and unchecked."""
+    of_stamps = ClockAssessment(
+        clock="header.stamp of the messages",
+        use="UTC of the log",
+        utc=None,
+        apart_s=None,
+        sigma_s=UNCHECKED_SIGMA_S,
+        why=UNCHECKED_WHY,
+    )
+    return BootClock(
+        line,
+        fits=(None,),  # times are not converted
+        utc_known=(False,),
+        sigma_s=UNCHECKED_SIGMA_S,
+        assessments=(of_stamps,),
+    )
+
+
 def boot_clock_of(
     line: Timeline,
     series: list[TopicSamples],
@@ -176,29 +195,16 @@ def boot_clock_of(
 ) -> BootClock:
     """Fit UTC to the clock since boot that PX4's messages count.
 
-    ``line`` is the timeline by the messages of all topics. UTC comes from the receivers among
-    ``series``, from cameras where no receiver has a fix, and from ``recorder`` (log_time) in boots
-    without either. ``recorder`` is None where no message counts from a boot: all stamps are then of
-    the recorder's computer. ``witnesses``: other clocks that show the date.
+    ``line`` is the timeline by the messages of all topics. In each boot UTC comes from the
+    receivers among ``series``. If no receiver has a fix in any boot, cameras take their place. A
+    boot without either takes it from ``recorder`` (log_time), which is reported. ``recorder`` is
+    None if no message counts from a boot: the stamps are then used as they are. ``witnesses``:
+    other clocks that show the date.
     """
+    if recorder is None:
+        return clock_of_stamps(line)
     if line.boots > 1:
         line = boots_of_topics(line, series)
-    if recorder is None:
-        of_stamps = ClockAssessment(
-            clock="header.stamp of the messages",
-            use="UTC of the log",
-            utc=None,
-            apart_s=None,
-            sigma_s=UNCHECKED_SIGMA_S,
-            why=UNCHECKED_WHY,
-        )
-        return BootClock(
-            line,
-            fits=(None,),
-            utc_known=(False,),
-            sigma_s=UNCHECKED_SIGMA_S,
-            assessments=(of_stamps,),
-        )
     receivers: list[UtcReadings] = []
     cameras: list[UtcReadings] = []
     for samples in series:

@@ -133,12 +133,13 @@ def with_medians_of_images(
 def in_wgs84(
     section: OrientationSection, table: OrientationTable, geoid: GeoidGrid | None
 ) -> tuple[OrientationTable, Notes]:
-    """Convert the positions of a table to latitude, longitude [rad] and height [m] on WGS 84.
+    """Convert the positions of a table to latitude, longitude [rad] on WGS 84 and height [m].
 
-    The table also gets the convergence of the grid at each position, and what heights count from.
-    Returned with notes on the conversion; unchanged without a coordinate system.
+    The heights count from what the new table states: sea level, ellipsoid or take-off. The table
+    also gets the convergence of the grid at each position, 0 if the system has none. Returned with
+    notes on the conversion. The table is unchanged if no coordinate system is stated.
     """
-    if section.crs is None or section.heights is None:
+    if section.crs is None or section.heights is None:  # both are stated, or none
         return table, ()
     if section.frame == "geographic":
         latitude, longitude, h = table.position.T

@@ -169,7 +169,8 @@ def other_readings(
     else:
         order = section.angles if section.angles.endswith("kappa") else None
         first, second, last = section.angle_names
-        for words, key, change in readings_of_angles((first, second, last), section.unit, order):
+        readings = readings_of_angles((first, second, last), section.unit, order, unit_key="unit")
+        for words, key, change in readings:
             if section.format == "dji":  # its file has the angles of the gimbal
                 angles = rpy_of_gimbal(change(gimbal_of_rpy(table.angles)))
             else:

@@ -60,19 +60,20 @@ class StationsReading(NamedTuple):
 
 
 def readings_of_angles(
-    names: tuple[str, str, str], unit: AngleUnit, order: str | None
+    names: tuple[str, str, str], unit: AngleUnit, order: str | None, *, unit_key: str
 ) -> Iterator[AngleReading]:
     """Other units, signs and orders of three angles than those that are stated.
 
     names : of the angles, for messages.
-    unit : the stated unit.
+    unit : the stated unit; unit_key: the key that states it.
     order : the stated order of photogrammetric angles, as omega_phi_kappa: the last angle turns the
         image about the camera's axis. None for roll, pitch and yaw.
     """
     for other_unit, size in RADIANS.items():
         if other_unit != unit:
             ratio = size / RADIANS[unit]
-            yield AngleReading(f"if the angles are in {other_unit}", "unit", _scaling(ratio))
+            words = f"if the angles are in {other_unit}"
+            yield AngleReading(words, unit_key, _scaling(ratio))
     for mistake, correct in rotations.ANGLE_MISTAKES.items():
         yield AngleReading(mistake.format(*names), UNSTATED, _correction(correct))
     if order is None:
@@ -187,19 +188,22 @@ def roads_of_angles(
     reader = inputs.trajectory
     if trajectory is not None and reader is not None and trajectory.has_angles:
         names = ("roll", "pitch", "yaw")
+        unit = trajectory.angle_unit
+        readings = [*readings_of_angles(names, unit, None, unit_key="angle_unit")]
         yield AngleRoad(
             "stations.trajectory",
             trajectory.path,
-            tuple(readings_of_angles(names, trajectory.angle_unit, None)),
+            tuple(readings),
             lambda change: replace(inputs, trajectory=_read_as(reader, change)),
         )
     for camera, channel in positions.items():
         source = mission.position_events[camera]
         if not channel.fits_role("attitude") or source.times_only:
             continue
-        # The order of these angles, and which angles they are, is stated in the head of the file.
+        # Unit and order of these angles, and which angles they are, are stated in the file's head.
         names = ("the first angle", "the second angle", "kappa or heading")
-        readings = [*readings_of_angles(names, "deg", "omega_phi_kappa")]
+        order = "omega_phi_kappa"
+        readings = [*readings_of_angles(names, "deg", order, unit_key=UNSTATED)]
         readings.append(_other_order("phi_omega_kappa"))
         yield AngleRoad(
             f"events.positions.{camera}",

@@ -32,7 +32,7 @@ from unbend.tables.exports.export_frames import (
     pixels_of_run,
 )
 from unbend.tables.exports.exported_block import ideal_coordinates
-from unbend.tables.exports.stations_in_grid import place_columns
+from unbend.tables.exports.stations_in_grid import place_columns, place_names
 from unbend.tables.geodata.map_grids import MapGrid
 from unbend.tables.writing import table_of
 from unbend.tables.written_columns import schema_of
@@ -240,14 +240,15 @@ def attributes_of(points: PointsOnGround) -> dict[str, Array]:
 
 
 def write_points(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
-    """Write a CSV with a row for each observation on the ground; returns the number of rows."""
+    """Write a CSV with a row for each observation that `ground_points` places on the ground.
+
+    The others are a loss in the ledger. Returns the number of rows.
+    """
     grid = run.required_grid
-    no_values = np.empty(0)
-    coordinate_names = place_columns(grid, no_values, no_values, no_values)
-    text = (pa.string(), "", "")
+    text = (pa.string(), "", "")  # without unit and meaning: a CSV has no place for them
     number = (pa.float64(), "", "")
     columns_of_schema = dict.fromkeys(("image", "point"), text)
-    columns_of_schema |= dict.fromkeys((*coordinate_names, *ATTRIBUTES), number)
+    columns_of_schema |= dict.fromkeys((*place_names(grid), *ATTRIBUTES), number)
     columns_of_schema["status"] = text
     schema = schema_of(columns_of_schema, run.metadata)
 

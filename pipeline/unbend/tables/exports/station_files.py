@@ -172,7 +172,10 @@ def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
 
 
 def frame_of_geojson(_run: FinishedRun, _: Values) -> ExportFrame:
-    """The frame of GeoJSON: positions on WGS 84, heights above its ellipsoid."""
+    """The frame of GeoJSON: stations on WGS 84, with heights above its ellipsoid.
+
+    The ground heights of footprints are those of the run, above sea level.
+    """
     return ExportFrame(
         positions=geographic_frame(ELLIPSOID_OF_WGS84), ground_heights=SEA_LEVEL_OF_RUN
     )

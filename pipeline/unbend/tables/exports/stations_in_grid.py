@@ -32,7 +32,10 @@ class StationsInGrid:
 
 
 def stations_in_grid(stations: Stations, rows: Integers, grid: MapGrid) -> StationsInGrid:
-    """The stations of some rows in a grid; all have coordinates there."""
+    """The stations of some rows in a grid, with x and y in its unit.
+
+    ``rows`` must be those of stations that have coordinates in the grid.
+    """
     lat = stations.lat_rad[rows]
     lon = stations.lon_rad[rows]
     x, y = grid.coordinates(lat, lon)
@@ -52,14 +55,16 @@ def grid_columns(grid: MapGrid, stations: StationsInGrid) -> dict[str, Array]:
 
 
 def place_columns(grid: MapGrid, x: Array, y: Array, height: Array) -> dict[str, Array]:
-    """Columns of coordinates (n,) in a grid; their names end in the unit."""
+    """Columns of coordinates (n,) in a grid; their names are those of `place_names`."""
+    return dict(zip(place_names(grid), (x, y, height), strict=True))
+
+
+def place_names(grid: MapGrid) -> tuple[str, str, str]:
+    """The names of the columns of coordinates in a grid, which end in the unit: x_m, y_m, z_m."""
     first, second = ("lon", "lat") if grid.is_geographic else ("x", "y")
     third = "depth" if grid.height.is_down else "z"
-    return {
-        f"{first}_{grid.unit.suffix}": x,
-        f"{second}_{grid.unit.suffix}": y,
-        f"{third}_{grid.height.unit.suffix}": height,
-    }
+    unit = grid.unit.suffix
+    return f"{first}_{unit}", f"{second}_{unit}", f"{third}_{grid.height.unit.suffix}"
 
 
 def grid_angles(grid: MapGrid, axes: GridAxes) -> AngleFrame:

@@ -309,7 +309,7 @@ def attitudes_of_eo(
 ) -> dict[str, Array]:
     """The columns q_w to q_z from omega, phi and kappa in a grid, or from roll, pitch and heading.
 
-    Empty without these angles, or where the head does not state their unit or grid, which is
+    Empty without these angles, or if the head does not state their unit or grid, which is
     reported. The axes of the grid are turned by its convergence at each event (PROJ's). Refuses
     (InputError IMPORT-EO-GRID) a grid in which easting and northing contradict latitude and
     longitude, and (IMPORT-EO-HEAD) an order of the rotations other than `ORDERS`.
@@ -324,7 +324,8 @@ def attitudes_of_eo(
         ledger.add(messages.eo_angles_unused(where=path.name, missing=missing))
         return {}
     if is_in_grid and grid is None:
-        ledger.add(messages.eo_angles_unused(where=path.name, missing="its UTM zone"))
+        hint = "; events.positions.<camera>.grid states the grid"
+        ledger.add(messages.eo_angles_unused(where=path.name, missing="its UTM zone", hint=hint))
         return {}
     angles = np.stack([file_columns[name] for name in names], axis=1) * head.unit_rad
     if is_in_grid:

@@ -319,20 +319,21 @@ IMPORT_EO_ANGLES = Code(
     "IMPORT-EO-ANGLES",
     means="The header of an EO text does not state the unit or the zone of its angles.",
     effect="Attitudes are taken from another source.",
-    remedy="State events.positions.<camera>.grid.",
+    remedy="State the zone in events.positions.<camera>.grid, the unit in the header of the text.",
 )
 
 
-def eo_angles_unused(*, where: str, missing: str) -> Message:
-    """The header of an EO text does not state the unit or the grid of its angles."""
+def eo_angles_unused(*, where: str, missing: str, hint: str = "") -> Message:
+    """The header of an EO text does not state the unit or the grid of its angles.
+
+    ``hint`` is what to do, after a semicolon.
+    """
     return fallback(
         IMPORT_EO_ANGLES,
-        (
-            "its header does not state {missing}: attitudes are taken from another source; "
-            "events.positions.<camera>.grid states the grid"
-        ),
+        ("its header does not state {missing}: attitudes are taken from another source{hint}"),
         where=where,
         missing=missing,
+        hint=hint,
     )
 
 
@@ -875,17 +876,26 @@ IMPORT_UNSTATED = Code(
 )
 
 
-def unstated(*, where: Path | str, name: str) -> InputError:
-    """Neither the file nor the mission file states ``name``, its time system or its heights."""
+def time_system_unstated(*, where: Path | str) -> InputError:
+    """Neither the file nor the mission file states the time system."""
+    return InputError(
+        IMPORT_UNSTATED,
+        "it does not state its time.system: GPS time is 18 s ahead of UTC since 2017",
+        where=where,
+        remedy="give time: {{system: gpst}} or {{system: utc}}",
+    )
+
+
+def heights_unstated(*, where: Path | str) -> InputError:
+    """Neither the file nor the mission file states what its heights count from."""
     return InputError(
         IMPORT_UNSTATED,
         (
-            "it does not state its {name}: GPS time is 18 s ahead of UTC since 2017; heights above "
-            "the ellipsoid and above the sea differ by up to 107 m"
+            "it does not state what its heights count from: heights above the ellipsoid and above "
+            "the sea differ by up to 107 m"
         ),
         where=where,
-        name=name,
-        remedy="give time: {{system: gpst}} or {{system: utc}}, and heights: ellipsoid or msl",
+        remedy="give heights: ellipsoid or msl",
     )
 
 

@@ -86,7 +86,11 @@ class Stated:
 
         ``by_header`` is the system that the file itself states, None without one.
         """
-        return _stated_or_header(path, "time.system", by_header, self.time_system, ledger)
+        key = "time.system"
+        system = _stated_or_header(path, key, by_header, self.time_system, ledger)
+        if system is None:
+            raise messages.time_system_unstated(where=path)
+        return system
 
     def height_column(self, path: Path, ledger: Ledger, by_header: str | None = None) -> str:
         """The channel's column for the heights of a file: h_ellipsoid_m or h_msl_m.
@@ -94,6 +98,8 @@ class Stated:
         ``by_header`` is the surface that the file itself states, ellipsoid or msl, None without.
         """
         surface = _stated_or_header(path, "heights", by_header, self.heights, ledger)
+        if surface is None:
+            raise messages.heights_unstated(where=path)
         return "h_ellipsoid_m" if surface == "ellipsoid" else "h_msl_m"
 
     def utc_of_week_seconds(self, path: Path, seconds: Array, system: str) -> TimeArray:
@@ -130,20 +136,17 @@ def _stated_or_header(
     by_header: str | None,
     stated: str | None,
     ledger: Ledger,
-) -> str:
+) -> str | None:
     """The value that the mission file states for ``key``, else that of the file's header.
 
-    A contradiction between both is reported. Refuses (InputError) a file without either.
+    None if neither states it. A contradiction between both is reported.
     """
     if by_header is not None and stated not in (None, by_header):
         contradicted = messages.header_contradicted(
             where=path.name, key=key, found=by_header, stated=str(stated)
         )
         ledger.add(contradicted)
-    value = stated or by_header
-    if value is None:
-        raise messages.unstated(where=path, name=key)
-    return value
+    return stated or by_header
 
 
 def read_text(path: Path) -> list[str]:
