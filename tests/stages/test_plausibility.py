@@ -32,13 +32,15 @@ from unbend.stages.plausibility.findings import (
     hold_back_ties,
     settle_findings,
 )
+from unbend.stages.plausibility.height_rules import (
+    heights_of_weather_stations,
+    median_distance_km,
+)
 from unbend.stages.plausibility.messages import many_flagged
 from unbend.stages.plausibility.rules import (
     are_sides_exchanged,
     distortion,
     field_of_view,
-    heights_of_weather_stations,
-    median_distance_km,
 )
 from unbend.stages.story import prepare_mission
 

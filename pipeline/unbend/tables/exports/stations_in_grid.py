@@ -61,10 +61,17 @@ def place_columns(grid: MapGrid, x: Array, y: Array, height: Array) -> dict[str,
 
 def place_names(grid: MapGrid) -> tuple[str, str, str]:
     """The names of the columns of coordinates in a grid, which end in the unit: x_m, y_m, z_m."""
-    first, second = ("lon", "lat") if grid.is_geographic else ("x", "y")
-    third = "depth" if grid.height.is_down else "z"
+    x_name = "x"
+    y_name = "y"
+    z_name = "z"
+    if grid.is_geographic:
+        x_name = "lon"
+        y_name = "lat"
+    if grid.height.is_down:
+        z_name = "depth"
     unit = grid.unit.suffix
-    return f"{first}_{unit}", f"{second}_{unit}", f"{third}_{grid.height.unit.suffix}"
+    unit_of_height = grid.height.unit.suffix
+    return f"{x_name}_{unit}", f"{y_name}_{unit}", f"{z_name}_{unit_of_height}"
 
 
 def grid_angles(grid: MapGrid, axes: GridAxes) -> AngleFrame:
