@@ -294,6 +294,11 @@ class GeoidGrid:
         """Undulation [m] at places [rad] that broadcast; NaN outside the grid and in its holes.
 
         Bilinear, as PROJ's vgridshift; continuous over the date line and at the poles.
+
+        >>> values_m = np.array([[40, 41, 42], [42, 43, 44]], np.float32)
+        >>> region = GeoidGrid("region", values_m, 46.0, 5.0, step_lat_deg=1.0, step_lon_deg=1.0)
+        >>> region.undulation(np.radians(46.5), np.radians(6.25)).round(6).tolist()
+        42.25
         """
         cell = self._cell(lat_rad, lon_rad)
         north = cell.north_share

@@ -74,7 +74,15 @@ def moved_principal_points(cameras: Mapping[str, Camera], axes: OffsetAxes) -> I
 def distortions_of_other_sign(
     cameras: Mapping[str, Camera],
 ) -> Iterator[Mistake]:
-    """The mistake that all distortions have the other sign; nothing if a camera has none."""
+    """The mistake that all distortions have the other sign; nothing if a camera has none.
+
+    >>> from unbend.refraction import BrownConrady
+    >>> lens = BrownConrady(k1=-0.1, p2=0.01)
+    >>> nadir = Camera(100, 80, 50.0, 50.0, 50.0, 40.0, lens)
+    >>> [(_, corrected)] = distortions_of_other_sign({"nadir": nadir})
+    >>> corrected["nadir"].distortion
+    BrownConrady(k1=0.1, k2=0.0, k3=0.0, p1=0.0, p2=-0.01)
+    """
     corrected = {}
     for name, camera in cameras.items():
         lens = camera.distortion

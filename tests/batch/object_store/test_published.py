@@ -137,6 +137,30 @@ def test_writers_killed_at_each_request(s3_place, tmp_path, monkeypatch):
     assert number > 12, "requests of a publication"
 
 
+def test_a_slower_writer_of_the_same_run_does_not_try_to_publish_it(
+    s3_place, tmp_path, monkeypatch
+):
+    """It returns the manifest of the faster writer as soon as that is there."""
+    request = place_module.request
+    manifests_put = []
+
+    def noted(verb, place, function, *arguments, **options):
+        if function == "put" and "manifest.json" in place.key:
+            manifests_put.append(place.key)
+        return request(verb, place, function, *arguments, **options)
+
+    monkeypatch.setattr(place_module, "request", noted)
+    monkeypatch.setattr(remote, "_WAIT_S", 2.0)
+    manifest = made(tmp_path, 1)
+    slower = Publication(s3_place, manifest.run.fingerprint)
+    faster = publish(s3_place, tmp_path, 1)
+
+    published = slower.publish(tmp_path, manifest, lambda size: None)
+
+    assert published == faster
+    assert len(manifests_put) == 1
+
+
 @pytest.mark.parametrize("written", ["runs/", "manifest.json"])
 def test_an_answer_that_is_lost(s3_place, tmp_path, monkeypatch, written):
     request = place_module.request
