@@ -329,7 +329,7 @@ class Input:
 
     @property
     def sha256(self) -> str:
-        """The hash of its content."""
+        """The hash of its content, as by `hash_input`."""
         return self.record.sha256
 
 

@@ -116,7 +116,7 @@ class Axis:
 
     @property
     def interval(self) -> float:
-        """Median interval of the events without repeats; infinite for fewer than two."""
+        """Median interval of the events without repeats; infinite for one event."""
         pulses = self.events[self.is_pulse]
         if pulses.size < 2:
             return np.inf
@@ -230,7 +230,10 @@ class Axis:
         return np.concatenate([clocks, shifted_clocks]), shares
 
     def shares_without_partner(self, clock: Array) -> Shares:
-        """The shares without a partner under one clock (2,)."""
+        """The shares without a partner, from the first to the last pair, under one clock (2,).
+
+        They are 0 without any pair.
+        """
         partner = self.partners(clock[None])[0]
         paired = np.flatnonzero(partner >= 0)
         image_span = 1

@@ -1,5 +1,7 @@
 """Messages of block: what each code means, and the words of what is sent."""
 
+import math
+
 from unbend.errors import Code, Counted, MissionError
 from unbend.messages import Kind, Message, finding, loss, message, note, warning
 
@@ -120,13 +122,16 @@ ORIENTATION_LINE = Code(
 
 
 def orientation_line(*, where: object, size: int, sigma: float, tilt: float) -> MissionError:
-    """The known positions lie on a line."""
+    """The known positions lie on a line; ``tilt`` [deg] is infinite if they do so exactly."""
+    text = "{size} known positions are on one line: the model can roll about it"
+    if math.isfinite(tilt):
+        text = (
+            "{size} known positions are nearly on one line: with a sigma of {sigma:.3g} m, the "
+            "model can roll about this line by {tilt:.2g} deg (one sigma)"
+        )
     return MissionError(
         ORIENTATION_LINE,
-        (
-            "{size} known positions are on one line, or nearly so: with a sigma of {sigma:.2g} m, "
-            "the model can roll about this line by {tilt:.2g} deg (one sigma)"
-        ),
+        text,
         where=where,
         size=size,
         sigma=sigma,

@@ -80,6 +80,15 @@ def inspect_options() -> ConfigError:
     )
 
 
+def camera_without_config() -> ConfigError:
+    """`angle` is given a camera, but no mission file that describes it."""
+    return ConfigError(
+        ANGLE_ARGUMENTS,
+        "--camera: only for a mission file (--config)",
+        remedy="give --config with --camera",
+    )
+
+
 def angle_options(*, options: str, other: str) -> ConfigError:
     """`angle` is given options that go with ``other`` alone."""
     return ConfigError(

@@ -211,7 +211,7 @@ def print_table_of_angles(
     if step is None:
         step = STEP_DEG
     if camera is not None and config is None:
-        raise messages.angle_options(options="--camera", other="a mission file (--config)")
+        raise messages.camera_without_config()
     with answer.progress("estimating the air"):
         from unbend.batch.runs import profile_in_light
         from unbend.refraction.angle import angles_to, radial_table

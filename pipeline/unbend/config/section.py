@@ -99,8 +99,9 @@ class Section(BaseModel):
 class SectionError(ValueError):
     """What a validator of a section refuses: a value, or values that do not go together.
 
-    ``key`` is the key of the section where the mistake is; empty for the place that is validated.
-    ``at`` are keys from that place on: the line of the last one is named. The text has them itself.
+    ``key`` is the key of the validated section where the mistake is; empty for the section itself.
+    ``at`` are the keys from there to the one with the line that is shown. They are not shown: the
+    text names them.
     """
 
     def __init__(self, text: str, *, key: str = "", at: tuple[str | int, ...] = ()) -> None:

@@ -144,7 +144,8 @@ def stray_stretches(begin_ns: TimeArray, end_ns: TimeArray, length: Integers) ->
     # The first and the last stretch have one neighbour only: they are stray if time steps back.
     is_stray[0] = is_short[0] and not is_short[1] and begin_ns[1] < end_ns[0]
     is_stray[-1] = is_short[-1] and not is_short[-2] and begin_ns[-1] < end_ns[-2]
-    # The others are compared with the last stamp before them that is not stray.
+    # The others are compared with the last stamp before them that is not stray. Behind a stray
+    # first stretch, the second is good.
     last_good_ns = begin_ns[1] if is_stray[0] else end_ns[0]
     for k in range(1, begin_ns.shape[0] - 1):
         leaves = abs(begin_ns[k] - last_good_ns) > BOOT_STEP_NS

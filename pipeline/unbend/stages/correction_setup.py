@@ -60,7 +60,10 @@ class Ground(Protocol):
         """The lowest and the highest height above sea level that a point can have [m]."""
 
     def heights(self, batch: Batch, station: Integers, setup: CorrectionSetup) -> GroundHeights:
-        """The heights of a batch; ``station`` (n,) is each row's station number, -1 without one."""
+        """The heights of a batch; ``station`` (n,) is each row's station number, -1 without one.
+
+        Rows without a station may get any height: it is not used.
+        """
 
 
 @dataclass(frozen=True, eq=False)

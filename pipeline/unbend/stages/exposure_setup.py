@@ -241,17 +241,21 @@ def report_lights(wavelengths_m: Mapping[str, float], common_m: float, ledger: L
 
 
 def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
-    """Note for each window if its glass displaces rays; for an opening, the air in it."""
+    """One note for each window: the air in an opening, or what becomes of the glass.
+
+    The glass displaces rays. That is in the calibration, or it stays in the results.
+    """
     for name, window in windows.items():
         where = f"cameras.{name}.{window.section}"
-        if window.cabin is not None and window.is_opening:
+        cabin = window.cabin
+        if cabin is not None and cabin.source == "opening":
             ledger.add(
                 messages.opening_air(
                     where=where,
                     name=name,
-                    warmer=window.cabin.warmer_k,
-                    sigma=window.cabin.sigma_temperature_k,
-                    excess=window.cabin.excess_pa / HECTOPASCAL,
+                    warmer=cabin.warmer_k,
+                    sigma=cabin.sigma_temperature_k,
+                    excess=cabin.excess_pa / HECTOPASCAL,
                 )
             )
         elif window.shape == "spherical":

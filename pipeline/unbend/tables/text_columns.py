@@ -366,10 +366,12 @@ def utc_of_weeks(week: Array | int, seconds: Array, system: str) -> TimeArray:
     """(n,) Unix nanoseconds of weeks since 1980-01-06 and seconds (n,) within them.
 
     ``system`` is gpst, from which leap seconds are subtracted, or utc. The result is 0 if week or
-    seconds are unknown (NaN), negative or too large, or the week is not a whole number.
+    seconds are unknown (NaN), negative or too large, or the week is not a whole number, or before
+    1990. In week 0 the seconds may count from 1980 on.
     """
     is_whole = week == np.floor(week)
-    is_week = is_whole & (week >= 0) & (week <= _MOST_WEEKS)
+    is_of_survey = (week >= FIRST_WEEK_OF_SURVEYS) & (week <= _MOST_WEEKS)
+    is_week = is_whole & (is_of_survey | (week == 0))
     is_second = (seconds >= 0.0) & (seconds <= _MOST_SECONDS)
     is_time = is_week & is_second
     whole_weeks = whole_numbers(np.where(is_time, week, 0), 0, _MOST_WEEKS)

@@ -474,8 +474,12 @@ def test_a_time_of_minus_one_is_unknown_and_moves_no_other(flight, times, settin
     assert_alone_unknown(unknown_row, flight, channel, ledger)
 
 
-@pytest.mark.parametrize(("week", "seconds"), [("-1", "302400"), (f"{WEEK}", "-1"), ("-1", "-1")])
-def test_a_week_or_seconds_of_minus_one_are_unknown(flight, week, seconds):
+@pytest.mark.parametrize(
+    ("week", "seconds"),
+    [("-1", "302400"), (f"{WEEK}", "-1"), ("-1", "-1"), ("520", "302400")],
+    ids=["no week", "no seconds", "neither", "a week of 1989, or one modulo 1024"],
+)
+def test_a_time_that_no_survey_has_is_unknown(flight, week, seconds):
     rows = [
         f"{WEEK},{time},{flight.lon[k]},{flight.lat[k]},{flight.height[k]}"
         for k, time in enumerate(seconds_of_week(flight))

@@ -31,7 +31,6 @@ _WEEKS = 1 << 13  # GPS weeks until 2137; single wrong weeks below do not change
 _MS_PER_WEEK = SECONDS_PER_WEEK * 1000
 _UTC_FIELDS = {"GMS", "GWk", "Status"}  # of a receiver
 _FIELDS_OF_TIME = (*_UTC_FIELDS, "Week", "T")  # ... with their names until 2015
-LISTED_INSTANCES = 8  # most stray instances that the ledger lists
 STRAY_SHARE = 100  # times as many rows has another instance, if one with few rows is damage
 
 MESSAGES: Mapping[str, MessageMap] = message_maps("dataflash")
@@ -347,7 +346,7 @@ def _without_stray_instances(
         message_of_stray = messages.stray_instances(
             message=message,
             count=int(counts[stray].sum()),
-            numbers=numbers[stray].tolist()[:LISTED_INSTANCES],
+            numbers=numbers[stray].tolist(),
             most=most,
             main=int(numbers[np.argmax(counts)]),
         )

@@ -121,7 +121,7 @@ class RecordWalker(DamagedBytes):
         while place + HEADER <= self.size:
             place = self._walk_block(place)
             yield from self._flush(held_back=1)  # damage in the next block may include it
-        if place < self.size:
+        if place < self.size:  # fewer bytes than a header: of a cut record, or damage
             self._resume(place)
         yield from self._flush(held_back=0)
 

@@ -138,6 +138,9 @@ LOG_INSTANCE = Code(
 )
 
 
+_LISTED_INSTANCES = 8  # instance numbers in a message
+
+
 def stray_instances(
     *, message: str, count: int, numbers: Sequence[int], most: int, main: int
 ) -> Message:
@@ -145,6 +148,9 @@ def stray_instances(
 
     ``main`` is the instance with most rows, ``most`` their number: a hundred times more.
     """
+    listed = ", ".join(map(str, numbers[:_LISTED_INSTANCES]))
+    if len(numbers) > _LISTED_INSTANCES:
+        listed += ", ..."
     return loss(
         LOG_INSTANCE,
         (
@@ -157,7 +163,7 @@ def stray_instances(
         ),
         where=message,
         count=count,
-        numbers=", ".join(map(str, numbers)),
+        numbers=listed,
         most=most,
         main=main,
     )

@@ -301,7 +301,7 @@ def checksums(
     They cover ``covered`` bytes from ``behind_magic`` (n,) on, the places behind the magic bytes,
     and ``extra`` (n,), the CRC_EXTRA of each packet.
     """
-    # Packets with an odd number of bytes are read from the byte before, so that they are of words.
+    # Packets with an odd number of bytes are read from the byte before: then they are whole words.
     bytes_before = covered % 2
     size = bytes_before + covered + CHECKSUM
     packets = gather(window, behind_magic - bytes_before, size)
@@ -315,9 +315,8 @@ def checksums(
         first_whole_word = 1
     for number in range(first_whole_word, stored_word):
         np.bitwise_xor(crc, words[:, number], out=crc)
-        crc = _CRC_AFTER_ZERO_WORD.take(
-            crc, mode="clip"
-        )  # 16 bits are never out of range: no test needed
+        # 16 bits are never out of range, so "clip" only spares the test.
+        crc = _CRC_AFTER_ZERO_WORD.take(crc, mode="clip")
     return Checksums(
         computed=_crc_after_byte(crc, extra),
         stored=words[:, stored_word],

@@ -439,7 +439,7 @@ def _maps_to_utc(
     """For each boot a function that maps the ground station's clock [ns] to UTC [ns].
 
     ``stamped_ns``, ``utc_ns``: (n,) of all readings, boot after boot. ``counts``: how many of these
-    each boot has.
+    each boot has, at least one.
     """
     maps = []
     begin = 0

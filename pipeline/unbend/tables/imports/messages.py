@@ -696,8 +696,9 @@ def images_without_position(*, where: str, count: int, total: int, first: float)
     """Images of a .MRK have the quality 0 or the place 0, 0; ``first`` is an image number."""
     return loss(
         IMPORT_NO_POSITION,
-        "{count} of {total} have no position (quality 0), the first is number {first:.0f}",
-        one="1 of {total} has no position (quality 0): number {first:.0f}",
+        "{count} of {total} have no position (quality 0, or the place 0, 0), the first is number "
+        "{first:.0f}",
+        one="1 of {total} has no position (quality 0, or the place 0, 0): number {first:.0f}",
         where=where,
         count=count,
         total=Counted(total, "image"),
@@ -1370,7 +1371,7 @@ def trajectory_angles_alone(*, where: str) -> Message:
     """The log has no attitude to compare the imported one with."""
     return note(
         TRAJECTORY_ANGLES_ALONE,
-        "the log has no attitude at its times to compare it with",
+        "the log has no attitude at the times of this file to compare its attitudes with",
         where=where,
     )
 

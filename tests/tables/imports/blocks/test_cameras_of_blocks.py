@@ -217,7 +217,7 @@ def test_the_adjusted_calibration_counts():
         ("models.json", '[{"cameras": {}}, {"cameras": {}}]', "IMPORT-FORMAT"),
         (
             "models.json",
-            '{"a": {"projection_type": "spherical", "width": 9, "height": 4, "focal": 1}}',
+            '{"a": {"projection_type": "spherical", "width": 9, "height": 4}}',
             "CAMERA-MODEL",
         ),
         ("calibration.xml", "<calibration>", "IMPORT-FORMAT"),

@@ -281,8 +281,13 @@ def metashape_version(*, where: Path | str, tag: str, version: str) -> InputErro
     return _refused_import(where, text, tag=tag, version=version)
 
 
+def no_chunk(*, where: Path | str) -> InputError:
+    """A document has no chunk."""
+    return _refused_import(where, "it has no chunk", remedy="export the chunk with the cameras")
+
+
 def several_chunks(*, where: Path | str, chunks: int, names: str) -> InputError:
-    """A document has no chunk, or several."""
+    """A document has several chunks."""
     return _refused_import(
         where,
         "it has {chunks} ({names}); only one can be read",

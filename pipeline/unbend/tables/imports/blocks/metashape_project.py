@@ -71,7 +71,9 @@ def document(path: Path) -> ElementTree.Element:
 def only_chunk(path: Path) -> ElementTree.Element:
     """The only chunk of a document; refuses a document with none or several."""
     chunks = [*document(path).iter("chunk")]
-    if len(chunks) != 1:
+    if not chunks:
+        raise messages.no_chunk(where=path)
+    if len(chunks) > 1:
         names = ", ".join(repr(chunk.get("label", "")) for chunk in chunks)
         raise messages.several_chunks(
             where=path,

@@ -31,6 +31,7 @@ from unbend.block.oriented_images import topocentric
 from unbend.flight.heights import GeodeticOrigin
 from unbend.refraction.calibration import camera_of_model
 from unbend.refraction.camera.camera import Camera
+from unbend.refraction.messages import camera_model
 from unbend.tables.geodata.coordinate_systems import grid_coordinates
 from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import CameraMakers, oriented_images, rows_of_image
@@ -333,12 +334,16 @@ def _vectors_of(
 
 
 def _camera(camera: Mapping[str, Any]) -> Camera:
-    """Make the camera of an entry of OpenSfM's cameras."""
+    """Make the camera of an entry of OpenSfM's cameras.
+
+    Refuses (PhysicsError CAMERA-MODEL) a kind that is not in `_COEFFICIENTS`.
+    """
     kind = camera["projection_type"]
+    if kind not in _COEFFICIENTS:
+        raise camera_model(model=kind, models=", ".join(_COEFFICIENTS))
+    model, names = _COEFFICIENTS[kind]
     width = int(camera["width"])
     height = int(camera["height"])
-    # An unknown kind is refused by `camera_of_model`, which lists the known ones.
-    model, names = _COEFFICIENTS.get(kind, (kind, ()))
     longer_px = float(max(width, height))
     focal = camera["focal"] if "focal" in camera else camera["focal_x"]
     fx_px = float(focal) * longer_px
