@@ -67,7 +67,12 @@ def test_what_is_unchanged_is_not_read(done, reads):
 def test_another_time_is_read_and_the_same_content_is_the_same(done, reads):
     """Afterwards the new time is known."""
     os.utime(done.log, (1_700_000_000, 1_700_000_000))
+    manifest = done.output / "manifest.json"
+    time_of_run_ns = manifest.stat().st_mtime_ns
+    content = manifest.read_text("utf-8")
     assert run_mission(done.file).repeated
+    assert manifest.read_text("utf-8") != content  # it has the new time of the log
+    assert manifest.stat().st_mtime_ns == time_of_run_ns
     assert reads == [done.log]
     assert run_mission(done.file).repeated
     assert reads == [done.log]

@@ -195,9 +195,15 @@ class RunFolder:
             _remove(self.staging)
 
     def rewrite_manifest(self, manifest: Manifest) -> None:
-        """Replace the manifest of the visible results; it is complete at any time."""
-        with atomic_write(self.path / MANIFEST) as draft:
+        """Replace the manifest of the visible results; it is complete at any time.
+
+        It keeps its time of change, which is that of the run.
+        """
+        path = self.path / MANIFEST
+        before = path.stat()
+        with atomic_write(path) as draft:
             draft.write_text(manifest_text(manifest), encoding="utf-8", newline="\n")
+            os.utime(draft, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
 def sync_file(path: Path) -> None:

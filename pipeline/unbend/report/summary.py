@@ -138,8 +138,8 @@ def distance(components_m: Sequence[float]) -> float:
 def next_steps(manifest: Manifest) -> list[str]:
     """Sentences on what to do with the results of a run, one step each.
 
-    Checks come first, then steps against remaining errors, the largest before others: the air in a
-    lens, which is systematic, before the uncertainty of the air outside and in cabins.
+    Checks come first, then steps against remaining errors: the air in a lens, which is systematic,
+    before the uncertainty of the air outside and in cabins.
     """
     steps = [step for _, step in concerns_of(manifest)]
     adjust = "Then adjust" if steps else "Adjust"

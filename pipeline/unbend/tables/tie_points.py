@@ -72,7 +72,8 @@ def draw_tie_points(observations: Observations, most: int) -> TiePoints:
 def _hash_filter(rows: int) -> Callable[[NDArray[np.uint64]], Integers]:
     """A function from hashes (n,) to the indices (k,) of those to keep in a table of ``rows`` rows.
 
-    Hashes are evenly distributed: keeping those below a limit leaves about `_ROWS_KEPT` rows.
+    Hashes are evenly distributed: keeping those below a limit leaves one row in a whole number of
+    them, `_ROWS_KEPT` rows or up to twice as many.
     """
     rows_read = min(rows, _MOST_ROWS)
     rows_for_each_kept = np.uint64(max(1, rows_read // _ROWS_KEPT))

@@ -1,7 +1,6 @@
 """Exports in a stated coordinate system, and the frame of every export.
 
-Truth: PROJ for places, convergence and scale; a ray of an image through the exported angles reaches
-the same ground as one in earth-centred axes; GDAL reads the GeoPackage.
+Truth: PROJ for places, convergence and scale; GDAL reads the GeoPackage.
 """
 
 import json
