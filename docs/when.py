@@ -65,7 +65,9 @@ Written by `python -m docs.when`. Do not edit this page.
 
 The table compares simulated blocks with known truth:
 
-* 6 km above ground, f = 20,000 px, 60 and 30 % overlap, 300 points 0 to 300 m high;
+* 6 km above ground, f = 20,000 px, 60 and 30 % overlap, 300 random points
+  0 to 300 m high. Only points in two or more images are used: about 150 in the nadir block, 295
+  with five heads;
 * 20 nadir images, or five heads (nadir and four at 45°) that see the points from all sides;
 * rays from an ODE through nine atmospheres from real soundings;
 * adjusted with pycolmap;

@@ -20,7 +20,7 @@ HEAD = """\
 
 Scripts make these pictures, and each picture is followed by its numbers. The scripts are in
 `docs/gallery`. `python -m docs.gallery` runs them and writes this page. Tests compute the numbers
-again.
+again, and a part of the numbers that take long.
 """
 
 
