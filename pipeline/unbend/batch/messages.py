@@ -116,7 +116,7 @@ OUTPUT_IN_USE = Code(
         "Another process is writing to the output folder. Or it has published another run in "
         "object storage in the meantime."
     ),
-    effect="The mission is not run (exit code 4).",
+    effect="The mission is not run, or its results are not published (exit code 4).",
     remedy="Wait for it, or choose another output.path.",
 )
 OUTPUT_OTHER = Code(
@@ -147,7 +147,7 @@ STORAGE_NOT_OURS = Code(
     "STORAGE-NOT-OURS",
     means="Files in the output folder would be replaced, and no manifest shows that unbend wrote "
     "them.",
-    effect="The mission is not run (exit code 5).",
+    effect="The mission, or the campaign, is not run (exit code 5).",
     remedy="Choose another output.path, or remove these files.",
 )
 STORAGE_SYMLINK = Code(
@@ -159,13 +159,13 @@ STORAGE_SYMLINK = Code(
 VERIFY_NO_MANIFEST = Code(
     "VERIFY-NO-MANIFEST",
     means="There is no manifest: no run has finished in this folder.",
-    effect="`verify` ends with exit code 5.",
+    effect="The command ends with exit code 5.",
     remedy="Run the mission.",
 )
 VERIFY_DAMAGED = Code(
     "VERIFY-DAMAGED",
     means="Results are incomplete, or were changed.",
-    effect="`verify` ends with exit code 5.",
+    effect="The command ends with exit code 5.",
     remedy="Run the mission again.",
 )
 

@@ -94,7 +94,7 @@ class CsvEvents(Section):
     )
     columns: CsvEventColumns = Field(
         CsvEventColumns(time_utc="time_utc"),
-        description="names of the table's columns",
+        description="names of the table's columns; by default image and time_utc",
     )
     camera: str | None = Field(
         None,

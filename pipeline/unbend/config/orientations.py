@@ -42,17 +42,17 @@ class OrientationColumns(ClockColumns, PoseColumns):
 
     omega: str | None = Field(
         None,
-        description="column of omega, about x",
+        description="column of omega, about x; by default omega",
         examples=["omega"],
     )
     phi: str | None = Field(
         None,
-        description="column of phi, about y",
+        description="column of phi, about y; by default phi",
         examples=["phi"],
     )
     kappa: str | None = Field(
         None,
-        description="column of kappa, about z",
+        description="column of kappa, about z; by default kappa",
         examples=["kappa"],
     )
     sigma_horizontal_m: str | None = Field(
@@ -195,7 +195,10 @@ class OrientationSection(Section):
     )
     columns: OrientationColumns = Field(
         OrientationColumns(),
-        description="names of the table's columns, if they differ from the default",
+        description=(
+            "names of the table's columns, if they differ from the default. Columns of camera, "
+            "time and sigmas are also detected by their usual names"
+        ),
     )
     camera: str | None = Field(
         None,

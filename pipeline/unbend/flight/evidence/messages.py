@@ -7,7 +7,10 @@ from unbend.messages import Message, fallback, finding, loss, note, warning
 
 SENSOR_RANGE = Code(
     "SENSOR-RANGE",
-    means="Samples are outside what is physically possible.",
+    means=(
+        "Samples are outside what is physically possible, are not numbers, or are heights that "
+        "jump away and back."
+    ),
     effect="They are not used.",
     remedy="Check the sensor, if there are many.",
 )
