@@ -196,8 +196,9 @@ class OrientationSection(Section):
     columns: OrientationColumns = Field(
         OrientationColumns(),
         description=(
-            "names of the table's columns, if they differ from the default. Columns of camera, "
-            "time and sigmas are also detected by their usual names"
+            "names of the table's columns, if they differ from the default. Usual names of images, "
+            "positions and angles are detected too; those of camera, time and sigmas only in "
+            "tables that unbend wrote"
         ),
     )
     camera: str | None = Field(

@@ -129,8 +129,7 @@ class TrajectorySection(Section):
     heights: Literal["msl", "ellipsoid"] | None = Field(
         None,
         description=(
-            "reference of the heights; needed for SBET, and for a CSV without earth-centred x, y, "
-            "z"
+            "reference of the heights; needed for SBET, and for a CSV without earth-centred x, y, z"
         ),
         examples=["ellipsoid"],
     )

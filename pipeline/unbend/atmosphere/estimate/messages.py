@@ -438,9 +438,9 @@ AIR_SENSORS = Code(
     ),
     effect=(
         "These errors were removed in the estimate. A warning if an error without a stated "
-        "calibration is too large: two expected sigmas and one of its own; for a static pressure 1 "
-        "% of its change and three of its sigmas. Then this sensor is wrong, or the source that "
-        "shows the error."
+        "calibration is larger than two expected sigmas and one sigma of the estimate (for a "
+        "static pressure: 1 % of its change, and three sigmas). Then this sensor is wrong, or the "
+        "source that shows the error."
     ),
     remedy=(
         "Nothing for a note. For a warning, calibrate the sensor. Check the static port and its "

@@ -995,7 +995,7 @@ SOUNDING_SUPERADIABATIC = Code(
     "SOUNDING-SUPERADIABATIC",
     means=(
         "The air cools with height far more than rising dry air: by 12 K near the ground, or by 2 "
-        "K above it. Radiosondes do not measure such values."
+        "K above it. Of 479 public ascents one has such values."
     ),
     effect="The levels are kept.",
     remedy=(

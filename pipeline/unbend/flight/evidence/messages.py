@@ -297,7 +297,7 @@ def stations_suspect(
 EVENTS_ELSEWHERE = Code(
     "EVENTS-ELSEWHERE",
     means=(
-        "The log has a place, height or attitude of each exposure, and the station contradicts it."
+        "The log has places, heights or attitudes of exposures, and the stations contradict them."
     ),
     effect="The stations are not changed. The run ends with exit code 3.",
     remedy=(

@@ -399,8 +399,9 @@ ORIENTATION_HEIGHT = Code(
         "more than 15 km above it."
     ),
     effect=(
-        "A note; a warning if single stations are wrong, refused if more than a tenth are below "
-        "the ground. Up to a tenth above 15 km are a loss: they are suspect."
+        "A note; a warning if stations are below the ground or too high above it. Refused if more "
+        "than a tenth are below the ground. If up to a tenth are too high, these are suspect: a "
+        "loss."
     ),
     remedy=(
         "Check the column of heights, its unit, heights (msl or ellipsoid), and the same for the "

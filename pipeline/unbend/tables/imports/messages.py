@@ -1306,7 +1306,7 @@ def trajectory_alone(*, where: str) -> Message:
 
 TRAJECTORY_ANGLES = Code(
     "TRAJECTORY-ANGLES",
-    means="The imported attitude fits the log only with another unit, sense or order.",
+    means="The imported attitude fits the log far better with another unit, sense or order.",
     effect="The mission is refused.",
     remedy="State angle_unit and angle_order, and which column is which.",
 )
@@ -1374,7 +1374,7 @@ def trajectory_angles_alone(*, where: str) -> Message:
 
 TRAJECTORY_HEIGHT = Code(
     "TRAJECTORY-HEIGHT",
-    means="The imported heights fit the log only if they are above the other surface.",
+    means="The imported heights fit the log far better if they are above the other surface.",
     effect="The mission is refused.",
     remedy=(
         "Give heights: msl or ellipsoid, as the refusal states, or correct mission.undulation_m."
@@ -1532,8 +1532,8 @@ _LEAST_ZONE_S = 1700.0  # a zone is half an hour or more
 TRAJECTORY_TIME = Code(
     "TRAJECTORY-TIME",
     means=(
-        "The imported times fit the log only with a shift: GPS time was read as UTC, or a time "
-        "zone is missing."
+        "The imported times fit the log far better with a shift. For example, GPS time was read as "
+        "UTC, or a time zone is missing."
     ),
     effect="The mission is refused.",
     remedy="State the time system of the file: time: {system: gpst} or {system: utc}.",
