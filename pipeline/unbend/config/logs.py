@@ -170,8 +170,8 @@ class LogSection(Section):
         gt=0,
         le=60,
         description=(
-            "longest allowed interval between two positions or attitudes: an exposure in a longer "
-            "interval is in a gap (in_gap)"
+            "longest allowed interval between two positions, heights or attitudes: an exposure in "
+            "a longer interval is in a gap (in_gap)"
         ),
         examples=[2.0],
         json_schema_extra={"unit": "s"},

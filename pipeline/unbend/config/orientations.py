@@ -101,7 +101,10 @@ class KnownPositions(Section):
     )
     height: str = Field(
         "height",
-        description="column of heights [m], with the reference of stations.orientation.heights",
+        description=(
+            "column of heights [m]; for an unknown frame their reference is that of "
+            "stations.orientation.heights"
+        ),
         examples=["height"],
     )
     sigma_m: float = Field(
