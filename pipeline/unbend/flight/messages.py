@@ -224,10 +224,13 @@ def outside_or_cabin(*, role: str, candidates: Sequence[str]) -> Message:
 CHANNEL_MISSING = Code(
     "CHANNEL-MISSING",
     means=(
-        "A named channel is not in the log, or lacks the columns of its role. Or a needed role has "
-        "no channel."
+        "A named channel is not in the log, or lacks the columns of its role. Or no channel can "
+        "have the role of the position or the attitude."
     ),
-    effect="A refusal if the role is needed. If not, a loss: the role stays empty.",
+    effect=(
+        "A refusal if a channel is named for the position, an attitude, or the pressure or "
+        "temperature of the cabin. If not, a loss: the role stays empty."
+    ),
     remedy="Name a channel that `unbend inspect` lists.",
 )
 

@@ -1034,7 +1034,7 @@ def lens_change_absurd(
 LENS_IN_AIR = Code(
     "LENS-IN-AIR",
     means="The air in the lens changes the principal distance. The entry gives the amount.",
-    effect="It is removed.",
+    effect="The correction contains it.",
     remedy="Nothing.",
 )
 
@@ -1064,7 +1064,10 @@ LENS_TYPICAL = Code(
         "The air of the calibration is stated, but not the effect of the air on the lens. A "
         "typical lens is assumed. Its principal distance changes by 2.0 +- 0.5 of the change of n."
     ),
-    effect="The change is removed. A quarter of it may remain, and sigma_cabin_* contain this.",
+    effect=(
+        "The correction contains this change. A quarter of it may be wrong, and sigma_cabin_* "
+        "contain this."
+    ),
     remedy="If the lens was measured, state dc_dp_px_per_hpa and dc_dt_px_per_k.",
 )
 
@@ -1138,7 +1141,7 @@ def lens_left_in(
 OPENING_AIR = Code(
     "OPENING-AIR",
     means="The air in front of the lens, in an opening, differs from the air outside, as stated.",
-    effect="It bends the rays as behind a plane window. This effect is removed.",
+    effect="It bends the rays as behind a plane window. The correction contains this effect.",
     remedy="Nothing.",
 )
 
