@@ -342,8 +342,11 @@ RUN_SHARD = Code(
 WORKER_LOST = Code(
     "WORKER-LOST",
     means="The process that ran the mission died twice, or its worker no longer answers.",
-    effect="The mission is refused, with the command that repeats it; the others are done.",
-    remedy="Repeat it alone. The machine may be short of memory: lower output.batch_rows.",
+    effect="The mission is refused; the others are done.",
+    remedy=(
+        "Run it again alone. The machine may be short of memory: lower output.batch_rows. If a "
+        "worker was stopped, let it go on."
+    ),
 )
 RESULTS_ELSEWHERE = Code(
     "RESULTS-ELSEWHERE",
