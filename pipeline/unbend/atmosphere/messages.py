@@ -32,7 +32,10 @@ def air_aged(*, hours: float, height_m: float, count: int, km: float = 0.0) -> M
 
 AIR_BY_PLACE = Code(
     "AIR-BY-PLACE",
-    means="The flight is long, and the weather model's air differs along it.",
+    means=(
+        "The flight is longer than 30 km or two hours, and the weather model's air differs along "
+        "it."
+    ),
     effect=(
         "Each exposure has the profile of its place and time: the measured profile, plus the "
         "change that the model gives between the two places and times."
@@ -356,9 +359,15 @@ def metar_missing(
 
 METAR_PARSE = Code(
     "METAR-PARSE",
-    means="The text is not a METAR.",
+    means=(
+        "The text is not a METAR, contains several reports, or has neither a temperature nor an "
+        "altimeter setting."
+    ),
     effect="The mission is refused.",
-    remedy="Give it as the station sent it.",
+    remedy=(
+        "Give one report, as the station sent it. Several reports are several entries of "
+        "atmosphere.surface."
+    ),
 )
 
 

@@ -116,7 +116,7 @@ OUTPUT_IN_USE = Code(
         "Another process is writing to the output folder. Or it has published another run in "
         "object storage in the meantime."
     ),
-    effect="The mission is not run (exit code 4).",
+    effect="The mission is not run, or its results are not published (exit code 4).",
     remedy="Wait for it, or choose another output.path.",
 )
 OUTPUT_OTHER = Code(
@@ -147,7 +147,7 @@ STORAGE_NOT_OURS = Code(
     "STORAGE-NOT-OURS",
     means="Files in the output folder would be replaced, and no manifest shows that unbend wrote "
     "them.",
-    effect="The mission is not run (exit code 5).",
+    effect="The mission, or the campaign, is not run (exit code 5).",
     remedy="Choose another output.path, or remove these files.",
 )
 STORAGE_SYMLINK = Code(
@@ -159,13 +159,13 @@ STORAGE_SYMLINK = Code(
 VERIFY_NO_MANIFEST = Code(
     "VERIFY-NO-MANIFEST",
     means="There is no manifest: no run has finished in this folder.",
-    effect="`verify` ends with exit code 5.",
+    effect="The command ends with exit code 5.",
     remedy="Run the mission.",
 )
 VERIFY_DAMAGED = Code(
     "VERIFY-DAMAGED",
     means="Results are incomplete, or were changed.",
-    effect="`verify` ends with exit code 5.",
+    effect="The command ends with exit code 5.",
     remedy="Run the mission again.",
 )
 
@@ -342,8 +342,11 @@ RUN_SHARD = Code(
 WORKER_LOST = Code(
     "WORKER-LOST",
     means="The process that ran the mission died twice, or its worker no longer answers.",
-    effect="The mission is refused, with the command that repeats it; the others are done.",
-    remedy="Repeat it alone. The machine may be short of memory: lower output.batch_rows.",
+    effect="The mission is refused; the others are done.",
+    remedy=(
+        "Run it again alone. The machine may be short of memory: lower output.batch_rows. If a "
+        "worker was stopped, let it go on."
+    ),
 )
 RESULTS_ELSEWHERE = Code(
     "RESULTS-ELSEWHERE",

@@ -8,7 +8,10 @@ from unbend.messages import Kind, Message, finding, loss, message, note, warning
 ORIENTATION_FAR = Code(
     "ORIENTATION-FAR",
     means="Images are far from the centre of all images.",
-    effect="They are suspect and have no corrected values. The run ends with exit code 3.",
+    effect=(
+        "They are suspect: no corrected values, unless stations.use_suspect is true. The run ends "
+        "with exit code 3."
+    ),
     remedy="Check their coordinates: they may be exchanged, or of another zone.",
 )
 
@@ -35,7 +38,10 @@ def orientation_far(
 ORIENTATION_FIT = Code(
     "ORIENTATION-FIT",
     means="How the model fits the known positions: residuals and the sigma of its vertical.",
-    effect="A note or a warning. Refused if the model does not fit.",
+    effect=(
+        "A note; a warning with three positions; a loss if the positions contradict each other. "
+        "Refused if the model does not fit."
+    ),
     remedy="Check names and coordinates of the known positions. Give more than three.",
 )
 
@@ -88,7 +94,7 @@ def orientation_fit(*, where: object, size: int, fit: str) -> MissionError:
 
 ORIENTATION_KNOWN = Code(
     "ORIENTATION-KNOWN",
-    means="Fewer than three known positions belong to an image.",
+    means="Fewer than three known positions are complete and belong to an image.",
     effect="The mission is refused.",
     remedy="Give known_positions of at least three images, off one line.",
 )
@@ -164,7 +170,10 @@ def orientation_turns(*, where: object) -> MissionError:
 ORIENTATION_UP = Code(
     "ORIENTATION-UP",
     means="Cameras look above the horizon.",
-    effect="They are suspect. Refused if many cameras do so.",
+    effect=(
+        "They are suspect, without corrected values (exit code 3). Refused if more than a tenth of "
+        "the cameras do so."
+    ),
     remedy="Check the unit, the names of the angles, the frame, and the mount.",
 )
 

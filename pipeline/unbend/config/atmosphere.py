@@ -109,8 +109,7 @@ class SurfaceSection(Section):
         le=2000,
         description=(
             "distance of the station from the middle of the flight, 100 km if it is not stated; "
-            "over 100 km the air changes as much as in 3 h, and twice as much over the first "
-            "kilometres"
+            "with the distance the sigmas of the report grow"
         ),
         examples=[12.0],
         json_schema_extra={"unit": "km"},
@@ -204,7 +203,7 @@ class ThermometerSection(Section):
         le=30,
         description=(
             "error of the thermometer at take-off from the heat of the ground, reading minus air; "
-            "it decays within a minute"
+            "it decays with a time constant of about a minute"
         ),
         examples=[0.0],
         json_schema_extra={"unit": "K"},
@@ -237,7 +236,10 @@ class ThermometerSection(Section):
         None,
         ge=0.01,
         le=30,
-        description="standard deviation of its drift within a quarter of an hour; by default 0.4 K",
+        description=(
+            "standard deviation of its drift within a quarter of an hour; by default 0.4 K, and 5 "
+            "K on a circuit board"
+        ),
         examples=[0.1],
         json_schema_extra={"unit": "K"},
     )

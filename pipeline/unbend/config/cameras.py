@@ -88,8 +88,8 @@ class CameraSection(Section):
         None,
         description=(
             "calibration file of COLMAP, OpenSfM or ODM, Metashape, Pix4D, BlocksExchange or DBAT; "
-            "then this section contains no numbers. By default the block of the observations, if "
-            "they are a block"
+            "then this section has no other interior orientation. By default the block of the "
+            "observations, if they are a block"
         ),
         examples=["cameras.txt"],
     )
@@ -182,8 +182,9 @@ class CameraSection(Section):
     pixel_origin: PixelOrigin | None = Field(
         None,
         description=(
-            "what the principal point counts from, the corner or the centre of the first pixel; by "
-            "default the same as the observations, but the corner with params"
+            "what the principal point (with metric: the origin) counts from, the corner or the "
+            "centre of the first pixel; by default the same as the observations, but the corner "
+            "with params"
         ),
         examples=["corner"],
     )

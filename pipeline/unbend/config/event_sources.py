@@ -50,7 +50,7 @@ class LogEvents(Section):
         None,
         description=(
             "channel of this camera's exposures, as `unbend inspect` prints it; by default the "
-            "only event channel of the log"
+            "only event channel of the log, or the only one of the best kind"
         ),
         examples=["CAM[0]"],
     )
@@ -94,7 +94,7 @@ class CsvEvents(Section):
     )
     columns: CsvEventColumns = Field(
         CsvEventColumns(time_utc="time_utc"),
-        description="names of the table's columns",
+        description="names of the table's columns; by default image and time_utc",
     )
     camera: str | None = Field(
         None,

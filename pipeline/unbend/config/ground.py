@@ -101,7 +101,10 @@ class ControlSection(Section):
     )
     columns: PointColumns = Field(
         PointColumns(latitude="lat_deg", longitude="lon_deg", height="h_ellipsoid_m"),
-        description="names of the table's columns; columns, crs and reference are stated together",
+        description=(
+            "names of the table's columns; by default point, lat_deg, lon_deg and h_ellipsoid_m; "
+            "columns, crs and reference are stated together"
+        ),
     )
     crs: str = Field(
         "EPSG:4326",
@@ -201,7 +204,9 @@ class GroundSection(Section):
         None,
         ge=LOWEST_GROUND_M,
         le=HIGHEST_GROUND_M,
-        description="height of the take-off point, if the log does not contain it",
+        description=(
+            "height of the take-off point, if the log does not contain it or has a wrong one"
+        ),
         examples=[405.0],
         json_schema_extra={"unit": "m"},
     )

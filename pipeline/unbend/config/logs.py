@@ -72,7 +72,7 @@ class ChannelsSection(Section):
         description=(
             "channel of the static pressure outside; a name as `unbend inspect` prints it, or "
             "{name, unit} where the log's unit is wrong. By default the first barometer that is "
-            "not in a closed compartment"
+            "not in a closed compartment and does not end before the flight"
         ),
         examples=["BARO[0]"],
     )
@@ -81,7 +81,7 @@ class ChannelsSection(Section):
         description=(
             "channel of the temperature of the air outside; a name as `unbend inspect` prints it, "
             "or {name, unit} where the log's unit is wrong. By default the only one of its kind; "
-            "with a window only if it cannot be in the cabin"
+            "if the air behind a window is that of the log, only one that cannot be in the cabin"
         ),
         examples=["HYGR[0]"],
     )
@@ -89,8 +89,8 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the relative humidity outside; a name as `unbend inspect` prints it, or "
-            "{name, unit} where the log's unit is wrong. By default the only one of its kind; with "
-            "a window only if it cannot be in the cabin"
+            "{name, unit} where the log's unit is wrong. By default the only one of its kind; if "
+            "the air behind a window is that of the log, only one that cannot be in the cabin"
         ),
         examples=["HYGR[0]"],
     )
@@ -106,8 +106,9 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the pressure in the compartment of the camera; a name as `unbend inspect` "
-            "prints it, or {name, unit} where the log's unit is wrong. By default, with a window, "
-            "the only barometer that does not follow the height"
+            "prints it, or {name, unit} where the log's unit is wrong. By default, if the air "
+            "behind a window is that of the log, the only barometer that does not follow the "
+            "height"
         ),
         examples=["BARO[1]"],
     )
@@ -115,8 +116,9 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the temperature in the compartment of the camera; a name as `unbend "
-            "inspect` prints it, or {name, unit} where the log's unit is wrong. By default the "
-            "only one of its kind"
+            "inspect` prints it, or {name, unit} where the log's unit is wrong. By default, if the "
+            "air behind a window is that of the log, the only one of its kind that cannot be "
+            "outside"
         ),
         examples=["HYGR[1]"],
     )
@@ -124,8 +126,9 @@ class ChannelsSection(Section):
         None,
         description=(
             "channel of the relative humidity in the compartment of the camera; a name as `unbend "
-            "inspect` prints it, or {name, unit} where the log's unit is wrong. By default the "
-            "only one of its kind"
+            "inspect` prints it, or {name, unit} where the log's unit is wrong. By default, if the "
+            "air behind a window is that of the log, the only one of its kind that cannot be "
+            "outside"
         ),
         examples=["HYGR[1]"],
     )
@@ -167,8 +170,8 @@ class LogSection(Section):
         gt=0,
         le=60,
         description=(
-            "longest allowed interval between two positions or attitudes: an exposure in a longer "
-            "interval is in a gap (in_gap)"
+            "longest allowed interval between two positions, heights or attitudes: an exposure in "
+            "a longer interval is in a gap (in_gap)"
         ),
         examples=[2.0],
         json_schema_extra={"unit": "s"},

@@ -51,8 +51,8 @@ CONFIG_CAMPAIGN = Code(
 CONFIG_INVALID = Code(
     "CONFIG-INVALID",
     means=(
-        "The mission file has values that its keys do not allow. Each mistake is listed with its "
-        "line."
+        "The mission file has values that its keys do not allow. The mistakes are listed with "
+        "their lines, at most 100 of them."
     ),
     effect="The mission is refused.",
     remedy="Correct the lines; `unbend help KEY` shows the allowed values of a key.",
@@ -60,7 +60,10 @@ CONFIG_INVALID = Code(
 
 CONFIG_UNKNOWN_KEY = Code(
     "CONFIG-UNKNOWN-KEY",
-    means="The mission file has unknown keys. The most similar known key is named.",
+    means=(
+        "The mission file has unknown keys. A similar key is named, or the section of the key, or "
+        "the keys that are allowed."
+    ),
     effect="The mission is refused.",
     remedy="Correct the key, or move it to its section; `unbend help KEY` finds keys.",
 )

@@ -202,7 +202,10 @@ class MetricSection(Section):
     radius_mm: float | None = Field(
         None,
         gt=0,
-        description="largest calibrated radius; by default the last row of the table",
+        description=(
+            "largest calibrated radius; the last row of the table limits it too. Without both "
+            "there is no limit"
+        ),
         examples=[150.0],
         json_schema_extra={"unit": "mm"},
     )
@@ -213,8 +216,8 @@ class MetricSection(Section):
     table: MetricTable | None = Field(
         None,
         description=(
-            "tabulated radial distortion of the report. Without coefficients it becomes a "
-            "polynomial; with coefficients it checks them"
+            "tabulated radial distortion of the report. Without radial coefficients it becomes a "
+            "polynomial; with them it checks them"
         ),
     )
 

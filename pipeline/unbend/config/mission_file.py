@@ -77,7 +77,10 @@ class OutputSection(Section):
         250_000,
         ge=1_000,
         le=2_000_000,
-        description="number of rows of observations that are in memory at the same time",
+        description=(
+            "largest number of rows of observations that are corrected and written together, as a "
+            "part of the table of results"
+        ),
         examples=[250000],
         json_schema_extra={"unit": "1"},
     )
@@ -115,8 +118,9 @@ class Mission(Section):
     log: LogSection | None = Field(
         None,
         description=(
-            "the flight log. May be left out if stations.orientation, or stations.trajectory "
-            "with attitudes and events with times, give the stations"
+            "the flight log. May be left out if other files give the position and attitude of "
+            "every image: stations.orientation; or stations.trajectory with attitudes and events "
+            "with times; or events.positions with attitudes"
         ),
     )
     observations: ObservationsSection = Field(

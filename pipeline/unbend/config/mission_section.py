@@ -70,8 +70,8 @@ class MissionSection(Section):
     time_zone: TimeZone | None = Field(
         None,
         description=(
-            "time zone of the dates and times in the report, by its IANA name; the report gives "
-            "UTC too"
+            "time zone of the dates and times on the first page of the report, by its IANA name; "
+            "the times of the flight are given in UTC too"
         ),
         examples=["Europe/Zurich"],
     )
@@ -99,8 +99,8 @@ class MissionSection(Section):
         None,
         description=(
             "UTC day of the flight, as 2026-05-14, or day and time, if the log has no UTC or a "
-            "wrong one. It gives the season of the climatology, the age of soundings and surface "
-            "reports, and evidence on the clocks of the log"
+            "wrong one. It is evidence on the clocks of the log. If the exposures have no UTC, it "
+            "gives the season of the climatology, and the age of soundings and surface reports"
         ),
         examples=["2026-05-14"],
     )

@@ -42,17 +42,17 @@ class OrientationColumns(ClockColumns, PoseColumns):
 
     omega: str | None = Field(
         None,
-        description="column of omega, about x",
+        description="column of omega, about x; by default omega",
         examples=["omega"],
     )
     phi: str | None = Field(
         None,
-        description="column of phi, about y",
+        description="column of phi, about y; by default phi",
         examples=["phi"],
     )
     kappa: str | None = Field(
         None,
-        description="column of kappa, about z",
+        description="column of kappa, about z; by default kappa",
         examples=["kappa"],
     )
     sigma_horizontal_m: str | None = Field(
@@ -101,7 +101,10 @@ class KnownPositions(Section):
     )
     height: str = Field(
         "height",
-        description="column of heights [m], with the reference of stations.orientation.heights",
+        description=(
+            "column of heights [m]; for an unknown frame their reference is that of "
+            "stations.orientation.heights"
+        ),
         examples=["height"],
     )
     sigma_m: float = Field(
@@ -195,7 +198,11 @@ class OrientationSection(Section):
     )
     columns: OrientationColumns = Field(
         OrientationColumns(),
-        description="names of the table's columns, if they differ from the default",
+        description=(
+            "names of the table's columns, if they differ from the default. Usual names of images, "
+            "positions and angles are detected too; those of camera, time and sigmas only in "
+            "tables that unbend wrote"
+        ),
     )
     camera: str | None = Field(
         None,

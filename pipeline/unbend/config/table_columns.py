@@ -83,66 +83,94 @@ class PoseColumns(NamedColumns):
 
     latitude: str | None = Field(
         None,
-        description="column of latitudes [deg, or position_unit]",
+        description=(
+            "column of latitudes [deg; in a trajectory position_unit]; in stations.orientation by "
+            "default latitude"
+        ),
         examples=["lat"],
     )
     longitude: str | None = Field(
         None,
-        description="column of longitudes [deg, or position_unit]",
+        description=(
+            "column of longitudes [deg; in a trajectory position_unit]; in stations.orientation by "
+            "default longitude"
+        ),
         examples=["lon"],
     )
     height: str | None = Field(
         None,
-        description="column of heights [m]",
+        description="column of heights [m]; in stations.orientation by default height",
         examples=["height"],
     )
     x: str | None = Field(
         None,
-        description="column of x [m]: east of a projection, or earth-centred",
+        description=(
+            "column of x [m]: east of a projection, or earth-centred; in stations.orientation x of "
+            "the frame, by default x"
+        ),
         examples=["x"],
     )
     y: str | None = Field(
         None,
-        description="column of y [m]: north of a projection, or earth-centred",
+        description=(
+            "column of y [m]: north of a projection, or earth-centred; in stations.orientation y "
+            "of the frame, by default y"
+        ),
         examples=["y"],
     )
     z: str | None = Field(
         None,
-        description="column of z [m]: the height in a projection, or earth-centred",
+        description=(
+            "column of z [m]: the height in a projection, or earth-centred; in "
+            "stations.orientation z of the frame, by default z"
+        ),
         examples=["z"],
     )
     roll: str | None = Field(
         None,
-        description="column of roll, positive with the right wing down",
+        description=(
+            "column of roll, positive with the right wing down; in stations.orientation by default "
+            "roll"
+        ),
         examples=["roll"],
     )
     pitch: str | None = Field(
         None,
-        description="column of pitch, positive with the nose up",
+        description=(
+            "column of pitch, positive with the nose up; in stations.orientation by default pitch"
+        ),
         examples=["pitch"],
     )
     yaw: str | None = Field(
         None,
-        description="column of yaw, clockwise from north",
+        description="column of yaw, clockwise from north; in stations.orientation by default yaw",
         examples=["yaw"],
     )
     q_w: str | None = Field(
         None,
-        description="column of the real part of the quaternion",
+        description=(
+            "column of the real part of the quaternion; in stations.orientation by default q_w"
+        ),
         examples=["q_w"],
     )
     q_x: str | None = Field(
         None,
-        description="column of the x part of the quaternion",
+        description=(
+            "column of the x part of the quaternion; in stations.orientation by default q_x"
+        ),
         examples=["q_x"],
     )
     q_y: str | None = Field(
         None,
-        description="column of the y part of the quaternion",
+        description=(
+            "column of the y part of the quaternion; in stations.orientation by default q_y"
+        ),
         examples=["q_y"],
     )
     q_z: str | None = Field(
         None,
-        description="column of the z part of the quaternion",
+        description=(
+            "column of the z part of the quaternion; in stations.orientation by default q_z"
+        ),
         examples=["q_z"],
     )

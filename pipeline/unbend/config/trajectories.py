@@ -128,7 +128,9 @@ class TrajectorySection(Section):
     )
     heights: Literal["msl", "ellipsoid"] | None = Field(
         None,
-        description="reference of the heights; needed for SBET and for latitudes in a CSV",
+        description=(
+            "reference of the heights; needed for SBET, and for a CSV without earth-centred x, y, z"
+        ),
         examples=["ellipsoid"],
     )
     time: ImportTime = Field(

@@ -46,8 +46,9 @@ class CabinSection(Section):
     temperature_c: Literal["log"] | Celsius | None = Field(
         None,
         description=(
-            "temperature in the compartment: log, or a constant. By default that of the log, if it "
-            "has one; if not, 21 degC: +- 5 K if the cabin is pressurised, +- 10 K if it is not"
+            "temperature in the compartment: log, or a constant. By default that of "
+            "log.channels.cabin_temperature; without it 21 degC: +- 5 K if the cabin is "
+            "pressurised, +- 10 K if it is not"
         ),
         examples=[21.0],
         json_schema_extra={"unit": "degC"},
@@ -57,8 +58,8 @@ class CabinSection(Section):
         ge=0,
         le=1,
         description=(
-            "relative humidity in the compartment, 0 to 1; by default that of the log, if not, dry "
-            "air (ambient: as outside)"
+            "relative humidity in the compartment, 0 to 1; by default that of "
+            "log.channels.cabin_humidity; without it dry air (ambient: as outside)"
         ),
         examples=[0.3],
         json_schema_extra={"unit": "1"},
@@ -80,7 +81,7 @@ class CabinSection(Section):
         le=50,
         description=(
             "standard deviation of the cabin's temperature; by default 1 K if a thermometer is "
-            "logged"
+            "logged, 6 K if it is on a circuit board"
         ),
         examples=[1.0],
         json_schema_extra={"unit": "K"},

@@ -138,9 +138,13 @@ def role_filled(*, role: str, channel: str) -> Message:
 
 ROLE_SPARE = Code(
     "ROLE-SPARE",
-    means="The channel of a role has no more values, and a spare channel of the same kind goes on.",
+    means=(
+        "The channel of a role has no values in a part of the flight, and a spare channel of the "
+        "same kind has."
+    ),
     effect=(
-        "The spare channel is used where the first channel has no values, with its own accuracy."
+        "The spare channel is used there, with its own accuracy. A spare barometer is used for the "
+        "whole flight."
     ),
     remedy="To use one channel all the time, name it under log.channels.",
 )
@@ -220,10 +224,13 @@ def outside_or_cabin(*, role: str, candidates: Sequence[str]) -> Message:
 CHANNEL_MISSING = Code(
     "CHANNEL-MISSING",
     means=(
-        "A named channel is not in the log, or lacks the columns of its role. Or a needed role has "
-        "no channel."
+        "A named channel is not in the log, or lacks the columns of its role. Or no channel can "
+        "have the role of the position or the attitude."
     ),
-    effect="A refusal if the role is needed. If not, a loss: the role stays empty.",
+    effect=(
+        "A refusal if a channel is named for the position, an attitude, or the pressure or "
+        "temperature of the cabin. If not, a loss: the role stays empty."
+    ),
     remedy="Name a channel that `unbend inspect` lists.",
 )
 
@@ -407,7 +414,10 @@ def gimbal_ignored(*, listed: str) -> Message:
 GIMBAL_YAW = Code(
     "GIMBAL-YAW",
     means="In some rows, the yaw of the gimbal is relative to the nose.",
-    effect="The yaw of the aircraft is added in these rows.",
+    effect=(
+        "In these rows the yaw of the aircraft is added, or its whole attitude if the gimbal "
+        "counters the motion of the aircraft."
+    ),
     remedy="Nothing.",
 )
 
@@ -446,8 +456,11 @@ def gimbal_counters_motion(*, gimbal: str, rows: int, total: int, aircraft: str)
 
 HEIGHT_GEOID = Code(
     "HEIGHT-GEOID",
-    means="The undulation in use differs by 3 m or more from EGM96. Above 10 m it is a finding.",
-    effect="If it is wrong, heights above sea level are wrong by the same amount.",
+    means=(
+        "The undulation in use differs by more than 3 m from EGM96, or mission.undulation_m from "
+        "the two heights of the log. Above 10 m it is a finding."
+    ),
+    effect="If it is wrong, the heights that are computed with it are wrong by the same amount.",
     remedy="Check mission.undulation_m: its sign is ellipsoid minus sea level.",
 )
 
@@ -541,7 +554,10 @@ def stations_outside_geoid(*, where: str, count: int, total: int, grid: str) -> 
 HEIGHT_HOME = Code(
     "HEIGHT-HOME",
     means="The height of the take-off point, from the log.",
-    effect="Ground heights relative to take-off use it, if it is steady.",
+    effect=(
+        "Ground heights relative to take-off use it, if it is steady and ground.home_h_msl_m is "
+        "not stated."
+    ),
     remedy="If it changes, state ground.home_h_msl_m.",
 )
 
@@ -838,7 +854,7 @@ EVENTS_SPAN = Code(
         "more of them into the flight, if leap seconds, a time zone, a day, a week or a common "
         "begin gives one."
     ),
-    effect="A warning. Refused if more than half of them are outside the flight.",
+    effect="A warning. Refused if more than half of all events are outside the flight.",
     remedy=(
         "Check the time system: GPS time is 18 s ahead of UTC, local time by its zone. Or name the "
         "log of this flight."
@@ -906,10 +922,12 @@ def most_events_beyond_flight(events: BeyondFlight) -> MissionError:
 EVENTS_TRIGGER_TIME = Code(
     "EVENTS-TRIGGER-TIME",
     means=(
-        "The events of a camera are the commands of its trigger, not the pulses of its shutter."
+        "The events of a camera are the commands of its trigger, not the pulses of its shutter. Or "
+        "they may be, if the log does not show it."
     ),
     effect=(
-        "Without delay_s, the exposures are 70 to 160 ms too early. That is metres along the track."
+        "Without delay_s, the exposures are too early: 70 to 160 ms were measured. That is metres "
+        "along the track."
     ),
     remedy="Measure the delay and state events.log.<camera>.delay_s.",
 )
@@ -973,11 +991,13 @@ def perhaps_trigger_times(*, channel: str, events: int, parameter: str) -> Messa
 IMAGES_OTHER = Code(
     "IMAGES-OTHER",
     means=(
-        "None of the images of the observations matches an exposure or a file. Their names differ."
+        "None of the images of the observations matches a file, or an exposure of a camera. Their "
+        "names differ."
     ),
     effect="The mission is refused.",
     remedy=(
-        "State observations.match_names, or correct the pattern under events.log.<camera>.image."
+        "State observations.match_names, or correct the pattern under events (image), or "
+        "events.images.path."
     ),
 )
 
@@ -1118,7 +1138,10 @@ STATIONS_FLAGGED = Code(
         "Exposures have no usable station. The entry gives the status: outside_log, in_gap, "
         "no_position, no_attitude or another."
     ),
-    effect="Their observations have no corrected values. The run ends with exit code 3.",
+    effect=(
+        "Their observations have no corrected values, but for suspect stations if "
+        "stations.use_suspect is true. The run ends with exit code 3."
+    ),
     remedy="Check times and gaps of the log, or give a trajectory.",
 )
 

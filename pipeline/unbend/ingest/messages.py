@@ -16,7 +16,7 @@ from unbend.messages import Kind, Message, fallback, loss, message, note, warnin
 
 LOG_MISSING = Code(
     "LOG-MISSING",
-    means="There is no such file, or it is a folder.",
+    means="There is no such file, or it is a folder, a pipe or a device.",
     effect="The log is refused.",
     remedy="Check the path of the log.",
 )
@@ -88,7 +88,10 @@ def log_changed(*, path: str, size: int, end: int) -> LogError:
 
 LOG_FORMAT = Code(
     "LOG-FORMAT",
-    means="The file is not a log of a known format, or has another format than its ending states.",
+    means=(
+        "The file is not a log of a known format, has another format than its ending states, or "
+        "contains no complete message."
+    ),
     effect="The log is refused.",
     remedy=(
         "Give a .bin, .log, .tlog, .rlog, .mcap or .ulg. The refusal states how to rename or "
@@ -413,8 +416,11 @@ def too_many_series(*, file: str, count: int, most: int) -> Message:
 
 LOG_CRC = Code(
     "LOG-CRC",
-    means="Messages, a chunk or the summary fail their checksum.",
-    effect="They are not used.",
+    means="Messages, a chunk, the summary or the whole data section fail their checksum.",
+    effect=(
+        "Such messages, chunks and summaries are not used. If only the checksum of the data "
+        "section fails, the data are used."
+    ),
     remedy="Copy the log again from its source.",
 )
 
@@ -434,7 +440,7 @@ LOG_LINK_LOSS = Code(
 LOG_FIELDS = Code(
     "LOG-FIELDS",
     means="The log does not define a field that a message needs, such as the time or a position.",
-    effect="Its rows are not used.",
+    effect="The rows, or the values that need this field, are not used.",
     remedy="Update the firmware, or use another message.",
 )
 
@@ -494,7 +500,7 @@ def pulses_and_commands(*, channel: str, pulses: int, sent: str, commands: int) 
 
 LOG_GAP = Code(
     "LOG-GAP",
-    means="Nothing was logged for more than 1 s (for a radio link: 3 s).",
+    means="Nothing was logged for more than 1 s (a radio link: 3 s; PX4: from 0.1 s on).",
     effect=(
         "Exposures in this time may have no station (in_gap). If the vehicle's clock advanced in "
         "the meantime, the log is incomplete. A run then ends with exit code 3 until that is "
@@ -833,7 +839,8 @@ HEIGHT_ELLIPSOID = Code(
     "HEIGHT-ELLIPSOID",
     means="A parameter of the autopilot selects GNSS heights above the ellipsoid.",
     effect=(
-        "All heights of the log are treated as ellipsoidal heights, and reduced by the undulation."
+        "The heights of the log are treated as ellipsoidal heights, and reduced by the undulation. "
+        "Heights that the log computed with an undulation stay."
     ),
     remedy="Nothing.",
 )

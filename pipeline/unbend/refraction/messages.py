@@ -78,7 +78,10 @@ def camera_distortion(
 
 CAMERA_FIELD = Code(
     "CAMERA-FIELD",
-    means="With this principal distance, the field of view would be more than 150 degrees.",
+    means=(
+        "With this principal distance, the field of view would be more than 150 degrees (360 "
+        "degrees for a fisheye model)."
+    ),
     effect="The mission is refused.",
     remedy=(
         "Give the principal distance in pixels: millimetres divided by the size of a "
@@ -144,7 +147,7 @@ CAMERA_MODEL = Code(
         "The camera model is unknown, has another number of parameters, or has impossible values."
     ),
     effect="The mission is refused.",
-    remedy="Take a model that the refusal lists, with its parameters in COLMAP's order.",
+    remedy="Take a supported model (`unbend help model`), with its parameters in COLMAP's order.",
 )
 
 
@@ -218,10 +221,11 @@ def camera_principal_point(*, percent: float) -> PhysicsError:
 CAMERA_REPORT = Code(
     "CAMERA-REPORT",
     means=(
-        "The table and the coefficients of a calibration report differ by more than 2 micrometres."
+        "The table of a calibration report differs by more than 2 micrometres from the "
+        "coefficients, or without coefficients from a polynomial."
     ),
     effect="The mission is refused.",
-    remedy="Check the sense of both, the powers of ten and the units.",
+    remedy="Check the sense of both, the powers of ten, the units, and the rows of the table.",
 )
 
 
@@ -345,9 +349,9 @@ def paper_name(*, paper: str, papers: str) -> PhysicsError:
 
 RADIAL_ANGLE = Code(
     "RADIAL-ANGLE",
-    means="A radial table goes from the nadir to less than 90 degrees.",
+    means="A radial table goes from the nadir to less than 90 degrees, in steps above 0.",
     effect="The command is refused.",
-    remedy="Choose --max-angle above 0 and below 90.",
+    remedy="Choose --max-angle above 0 and below 90, and --step above 0.",
 )
 
 
@@ -462,8 +466,8 @@ def window_normal_inwards() -> PhysicsError:
 RAY_BAD_MEASUREMENT = Code(
     "RAY-BAD-MEASUREMENT",
     means=(
-        "Heights or the nadir angle of a ray are not numbers, or nadir angles are outside 0 to pi, "
-        "as degrees are."
+        "Heights or the nadir angle of a ray are not numbers, the radius is not above 0, or nadir "
+        "angles are outside 0 to pi, as degrees are."
     ),
     effect="The call is refused.",
     remedy="Give heights in metres and the angle in radians (0 to pi).",

@@ -268,8 +268,11 @@ def events_without_offsets(*, where: str) -> MissionError:
 
 EVENTS_ORDER = Code(
     "EVENTS-ORDER",
-    means="The numbers in a file of exposures decrease with time.",
-    effect="A refusal if images are named by these numbers. If not, a warning.",
+    means="Numbers or names in a file of exposures decrease with time.",
+    effect=(
+        "A refusal if images are named by the numbers ({index}). If not, a warning where most of "
+        "them decrease."
+    ),
     remedy="Sort the rows by time, or name the images by {n}.",
 )
 
@@ -359,8 +362,8 @@ TABLES_DEFAULT = Code(
 TABLES_FRAME = Code(
     "TABLES-FRAME",
     means=(
-        "In Python, the table of stations has x and y, and no latitude and longitude. Nothing "
-        "states the frame of x and y."
+        "In Python, the table of stations has x and y, and no latitude. Nothing states the frame "
+        "of x and y."
     ),
     effect="The call is refused.",
     remedy='Add orientation={"frame": "projected", "crs": "EPSG:..."}, or the other frame.',
@@ -438,7 +441,10 @@ def date_before_times(*, where: str, date: str) -> Message:
 
 AIR_SOURCES_UNUSED = Code(
     "AIR-SOURCES-UNUSED",
-    means="Soundings, reports or calibrations are given, but atmosphere.adjust is false.",
+    means=(
+        "Soundings, a weather model, reports or calibrations are given, but atmosphere.adjust is "
+        "false."
+    ),
     effect="They are not used.",
     remedy="Remove adjust: false, or the sources.",
 )
@@ -466,7 +472,9 @@ PLAUSIBLE_SENSORS = Code(
         "The sensor that is stated as outside is not outside, and the one that is stated as the "
         "cabin's measures what the air outside has. They seem exchanged under log.channels."
     ),
-    effect="The air is estimated without the sensor stated as outside. The run ends with 3.",
+    effect=(
+        "The air is estimated without the sensor stated as outside. The run ends with exit code 3."
+    ),
     remedy="Exchange the two channels under log.channels, or accept the finding.",
 )
 
@@ -782,7 +790,9 @@ def cabin_board(*, where: str, count: int, name: str, warmer: float, sigma: floa
 CABIN_DRY = Code(
     "CABIN-DRY",
     means="The humidity of the cabin is not known.",
-    effect="Its air is treated as dry. Vapour changes its refractivity by up to 0.4 %.",
+    effect=(
+        "Its air is treated as dry. Vapour changes its refractivity by some tenths of a percent."
+    ),
     remedy="If it is known, state relative_humidity under window.cabin.",
 )
 
@@ -801,8 +811,9 @@ def cabin_dry(*, where: str, count: int) -> Message:
 CABIN_IMPLAUSIBLE = Code(
     "CABIN-IMPLAUSIBLE",
     means=(
-        "The air in the cabin is outside the range for people and electronics. Or the mission file "
-        "states the pressure outside for the cabin, and a barometer contradicts that."
+        "The air in the cabin has less pressure than the air outside, or a temperature far from 21 "
+        "degC. Or the mission file states the pressure outside for the cabin, and a barometer "
+        "contradicts that."
     ),
     effect="It was used as stated. If it is a finding, the run ends with exit code 3.",
     remedy="Check the channel, its unit, and cameras.<name>.window.cabin.pressure.",
@@ -851,8 +862,8 @@ def cabin_pressurised(*, where: str, count: int, camera: str, name: str, hpa: fl
 
 CABIN_MISSING = Code(
     "CABIN-MISSING",
-    means="Exposures of a camera behind a plane window have no cabin pressure.",
-    effect="These stations are suspect. The window cannot be corrected.",
+    means="Exposures of a camera behind a window have no cabin pressure.",
+    effect="These stations are suspect, without corrected values. The run ends with exit code 3.",
     remedy=(
         "Name log.channels.cabin_pressure, or state the pressure under cameras.<name>.window.cabin."
     ),
@@ -1023,7 +1034,7 @@ def lens_change_absurd(
 LENS_IN_AIR = Code(
     "LENS-IN-AIR",
     means="The air in the lens changes the principal distance. The entry gives the amount.",
-    effect="It is removed.",
+    effect="The correction contains it.",
     remedy="Nothing.",
 )
 
@@ -1053,7 +1064,10 @@ LENS_TYPICAL = Code(
         "The air of the calibration is stated, but not the effect of the air on the lens. A "
         "typical lens is assumed. Its principal distance changes by 2.0 +- 0.5 of the change of n."
     ),
-    effect="The change is removed. A quarter of it may remain, and sigma_cabin_* contain this.",
+    effect=(
+        "The correction contains this change. A quarter of it may be wrong, and sigma_cabin_* "
+        "contain this."
+    ),
     remedy="If the lens was measured, state dc_dp_px_per_hpa and dc_dt_px_per_k.",
 )
 
@@ -1127,7 +1141,7 @@ def lens_left_in(
 OPENING_AIR = Code(
     "OPENING-AIR",
     means="The air in front of the lens, in an opening, differs from the air outside, as stated.",
-    effect="It bends the rays as behind a plane window. This effect is removed.",
+    effect="It bends the rays as behind a plane window. The correction contains this effect.",
     remedy="Nothing.",
 )
 

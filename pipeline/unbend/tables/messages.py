@@ -210,10 +210,14 @@ def model_levels_incomplete(
 MODEL_MEMBER = Code(
     "MODEL-MEMBER",
     means=(
-        "The file contains an ensemble. No member is chosen, or the chosen member does not exist."
+        "The file contains an ensemble, and no member is chosen. Or the chosen member does not "
+        "exist."
     ),
     effect="The mission is refused.",
-    remedy="Name the member: atmosphere.model.member.",
+    remedy=(
+        "Name a member of the ensemble: atmosphere.model.member. Leave it out if the file has no "
+        "members."
+    ),
 )
 
 
@@ -276,7 +280,7 @@ MODEL_TIME = Code(
     "MODEL-TIME",
     means=(
         "The fields of a weather model are of another time than the flight, have no readable time, "
-        "or belong to several runs of a forecast."
+        "or belong to several runs of a forecast. Or no station has a UTC and a place."
     ),
     effect="The mission is refused, or the file is not read.",
     remedy="Download the hours before, during and after the flight, from one run.",
@@ -422,8 +426,8 @@ def model_section_too_long(*, where: Path | str, number: int, offset: int) -> In
 MODEL_VARIABLE = Code(
     "MODEL-VARIABLE",
     means=(
-        "The file has no temperature, humidity or geopotential on levels, or they are of "
-        "other areas and times."
+        "The file has no temperature, humidity or geopotential on levels, or they are of other "
+        "areas and times, or the temperature has a dimension that is not known."
     ),
     effect="The mission is refused. The variables of the file are listed.",
     remedy="Request all variables for the same levels, area and times.",
@@ -952,7 +956,7 @@ def sounding_archive(*, where: Path | str, why: str) -> InputError:
 
 SOUNDING_SIZE = Code(
     "SOUNDING-SIZE",
-    means="The file is larger than the longest possible record of soundings.",
+    means="The file has more than 200 million bytes: more than the longest record of soundings.",
     effect="The mission is refused.",
     remedy="Keep only the days around the flight.",
 )

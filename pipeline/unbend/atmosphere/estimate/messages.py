@@ -209,11 +209,12 @@ AIR_HYGROMETER = Code(
     "AIR-HYGROMETER",
     means=(
         "A hygrometer reads a humidity that does not occur: a dew point above 35 C, or 4 sigma "
-        "above the climatology. The sensor is stuck, wet, or next to a warm board. Or it never "
-        "reads more than 1.1 %."
+        "above the climatology; cloud over 1 km of air that cools too fast; or, below 3 km, never "
+        "more than 1.1 %. The sensor is probably stuck, wet, or next to a warm board."
     ),
     effect=(
-        "It is not used. The humidity of the climatology is used. The run ends with exit code 3."
+        "It is not used. The estimate begins at the humidity of the climatology. The run ends with "
+        "exit code 3."
     ),
     remedy="Check the sensor and its unit (log.channels.humidity).",
 )
@@ -253,10 +254,13 @@ def hygrometer_in_no_cloud(
 AIR_IMPLAUSIBLE = Code(
     "AIR-IMPLAUSIBLE",
     means=(
-        "The air that was estimated from a source is not physical, or is less plausible than the "
-        "climatology."
+        "The air that was estimated from a source is not physical, is too far from the "
+        "climatology, or predicts readings that were left out worse than the climatology does."
     ),
-    effect="That source is not used. The next best source is used.",
+    effect=(
+        "That estimate is not used. The next best sources are used, or the climatology. The run "
+        "ends with exit code 3."
+    ),
     remedy="Check the unit and the place of the named sensor. The entry gives the reason.",
 )
 
@@ -335,7 +339,7 @@ def air_isothermal(*, where: str, extent: float, percent: float) -> Message:
 AIR_MISFIT = Code(
     "AIR-MISFIT",
     means="The residuals of a source are larger than its errors explain.",
-    effect="Its sigma is inflated. The estimate is kept.",
+    effect="Its sigma is inflated if it has five readings or more. The estimate is kept.",
     remedy="Compare the source with the others in the report. Leave it out if it is wrong.",
 )
 
@@ -433,9 +437,10 @@ AIR_SENSORS = Code(
         "gives each with its sigma."
     ),
     effect=(
-        "These errors were removed in the estimate. A warning if an error is larger than that of a "
-        "working sensor (two expected sigmas; a static pressure that loses 1 % of its change, by "
-        "three of its sigmas). Then this sensor is wrong, or the source that shows the error."
+        "These errors were removed in the estimate. A warning if an error without a stated "
+        "calibration is larger than two expected sigmas and one sigma of the estimate (for a "
+        "static pressure: 1 % of its change, and three sigmas). Then this sensor is wrong, or the "
+        "source that shows the error."
     ),
     remedy=(
         "Nothing for a note. For a warning, calibrate the sensor. Check the static port and its "
@@ -466,8 +471,8 @@ AIR_STANDARD = Code(
         "kept."
     ),
     effect=(
-        "Allowed substitute. With a standard atmosphere, 0.3 to 21 % of the shift remain: see its "
-        "sigma."
+        "Allowed substitute. The standard atmosphere left 0.3 to 21 % of the shift in nine real "
+        "soundings, at 3 to 9 km: see the sigma of this air."
     ),
     remedy=(
         "Add a barometer and a thermometer outside, a sounding or a surface report. The entry "
@@ -508,9 +513,9 @@ def air_stuck(*, where: str, count: int, value: float, extent: float, total: int
 AIR_THERMOMETER = Code(
     "AIR-THERMOMETER",
     means=(
-        "A thermometer contradicts the temperature that barometer and GNSS height imply: by 8 K in "
-        "the mean, or by 3.5 K in its change with height, and by 3.5 sigma of the comparison; or "
-        "no physical air fits both. So it does not measure the air outside."
+        "A thermometer differs from the temperature that barometer and GNSS height imply, by 8 K "
+        "in the mean or by 3.5 K in its change with height (more if the comparison is uncertain). "
+        "Or no physical air fits both. Or it is in a bay with a probability of 99 %."
     ),
     effect="It is not used; the run ends with exit code 3.",
     remedy="Name the thermometer outside under log.channels.temperature, or check its unit.",
@@ -574,7 +579,7 @@ def air_unsettled() -> Message:
 
 METAR_FAR_IN_TIME = Code(
     "METAR-FAR-IN-TIME",
-    means="The METAR is hours away from the flight.",
+    means="The METAR is more than three hours away from the flight.",
     effect="It has less weight for this reason.",
     remedy="Give a report of the time of the flight.",
 )
@@ -593,8 +598,8 @@ def metar_far_in_time(*, where: str, hours: float, doubt: str) -> Message:
 
 SOUNDING_FAR_AWAY = Code(
     "SOUNDING-FAR-AWAY",
-    means="The sounding is far from the flight.",
-    effect="It has less weight for this reason.",
+    means="The sounding is more than 200 km from the flight.",
+    effect="It has less weight for this reason. Too far away it is not used: AIR-SOURCE-FAR.",
     remedy="Give a nearer one, if there is one.",
 )
 
@@ -615,7 +620,7 @@ def sounding_far_away(*, where: str, km: float, consequence: str) -> Message:
 
 SOUNDING_FAR_IN_TIME = Code(
     "SOUNDING-FAR-IN-TIME",
-    means="A sounding is many hours away from the flight.",
+    means="A sounding is more than six hours away from the flight.",
     effect="It has less weight for this reason.",
     remedy="Give one of the time of the flight.",
 )
@@ -653,7 +658,7 @@ def sounding_undated(*, where: str, hours: float) -> Message:
 SOUNDING_UNPLACED = Code(
     "SOUNDING-UNPLACED",
     means="The sounding has no position.",
-    effect="It is assumed to be 100 km from the flight.",
+    effect="It is assumed to be 100 km from the flight, or as far as the latitudes show.",
     remedy="Add latitude_deg and longitude_deg.",
 )
 
@@ -670,7 +675,7 @@ def sounding_unplaced(*, where: str, km: float) -> Message:
 
 SURFACE_FAR_IN_TIME = Code(
     "SURFACE-FAR-IN-TIME",
-    means="The report is hours away from the flight.",
+    means="The report is more than three hours away from the flight.",
     effect="It has less weight for this reason.",
     remedy="Give a report of the time of the flight.",
 )

@@ -5,10 +5,7 @@ from unbend.messages import Message, fallback, loss, note, warning
 
 MODEL_AREA = Code(
     "MODEL-AREA",
-    means=(
-        "Places of the flight are outside the fields of the weather model, or where these have "
-        "missing values."
-    ),
+    means="Places of the flight are outside the fields of the weather model.",
     effect="The mission is refused, with the distance.",
     remedy="Download an area that reaches half a degree beyond the flight on all sides.",
 )
@@ -50,7 +47,7 @@ def model_area(
 
 MODEL_EXTENDED = Code(
     "MODEL-EXTENDED",
-    means="The lowest level of a weather model is above the true ground.",
+    means="The lowest level of a weather model is more than 300 m above the true ground.",
     effect=(
         "The column is continued down to the ground with 6.5 K/km. Its sigma grows by 8 K per "
         "kilometre."
@@ -77,8 +74,8 @@ def model_extended(*, where: str, depth: float, ground: float, sigma: float) -> 
 MODEL_GROUND = Code(
     "MODEL-GROUND",
     means=(
-        "Neither the mission nor the log has the height of the ground. So the levels under the "
-        "ground are not known."
+        "The mission file does not state one height of the ground, and the height of the take-off "
+        "is not known. So the levels under the ground are not known."
     ),
     effect="The ground of the weather model is used, or sea level.",
     remedy=(
@@ -882,7 +879,7 @@ def sounding_index_rises(*, where: str, percent: float, low_m: float, high_m: fl
 
 SOUNDING_LATITUDE = Code(
     "SOUNDING-LATITUDE",
-    means="The latitude of the sounding is not known.",
+    means="Neither the sounding nor the flight has a latitude.",
     effect=(
         "Its heights are computed for a latitude of 45 degrees. At 10 km they are wrong by 27 m at "
         "most."
@@ -998,7 +995,7 @@ SOUNDING_SUPERADIABATIC = Code(
     "SOUNDING-SUPERADIABATIC",
     means=(
         "The air cools with height far more than rising dry air: by 12 K near the ground, or by 2 "
-        "K above it. Radiosondes do not measure such values."
+        "K above it. Of 479 public ascents one has such values."
     ),
     effect="The levels are kept.",
     remedy=(
@@ -1025,9 +1022,9 @@ def sounding_superadiabatic(*, where: str, excess_k: float, low_m: float, high_m
 
 SOUNDING_TIME = Code(
     "SOUNDING-TIME",
-    means="The sounding states a time that cannot be read.",
+    means="The sounding states a time that cannot be read, or two times that differ.",
     effect="The mission is refused, because the age of the sounding would be a guess.",
-    remedy="Write it as 2026-05-14T10:20:00Z.",
+    remedy="Write it as 2026-05-14T10:20:00Z, or correct the wrong one.",
 )
 
 
@@ -1108,9 +1105,12 @@ def sounding_truncated(*, where: str, count: int) -> Message:
 
 SOUNDING_UNITS = Code(
     "SOUNDING-UNITS",
-    means="Values of the sounding look like another unit than the name of their column states.",
+    means=(
+        "Values of the sounding look like another unit than the name of their column states, or "
+        "temperature and dew point are exchanged."
+    ),
     effect="The mission is refused.",
-    remedy="State the unit in the column's name.",
+    remedy="State the unit in the column's name, or exchange the two columns.",
 )
 
 

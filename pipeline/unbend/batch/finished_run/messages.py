@@ -180,8 +180,8 @@ def use_of_export(*, use: str, name: str) -> Message:
 REPORT_BROWSER = Code(
     "REPORT-BROWSER",
     means=(
-        "A PDF of the report is printed by Chromium or Chrome. The browser is not installed, or it "
-        "did not print in time."
+        "A PDF of the report is printed by Chromium, Chrome or Edge. No such browser is installed, "
+        "or it did not print a complete PDF in time."
     ),
     effect="No PDF is written.",
     remedy="Install chromium, or open report.html in any browser and print it there.",

@@ -7,7 +7,10 @@ from unbend.messages import Message, fallback, finding, loss, note, warning
 
 SENSOR_RANGE = Code(
     "SENSOR-RANGE",
-    means="Samples are outside what is physically possible.",
+    means=(
+        "Samples are outside what is physically possible, are not numbers, or are heights that "
+        "jump away and back."
+    ),
     effect="They are not used.",
     remedy="Check the sensor, if there are many.",
 )
@@ -294,7 +297,7 @@ def stations_suspect(
 EVENTS_ELSEWHERE = Code(
     "EVENTS-ELSEWHERE",
     means=(
-        "The log has a place, height or attitude of each exposure, and the station contradicts it."
+        "The log has places, heights or attitudes of exposures, and the stations contradict them."
     ),
     effect="The stations are not changed. The run ends with exit code 3.",
     remedy=(

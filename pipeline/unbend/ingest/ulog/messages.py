@@ -8,7 +8,7 @@ LOG_ULOG = Code(
     "LOG-ULOG",
     means="The file is not a ULog, or needs a newer reader.",
     effect="The log is refused.",
-    remedy="Check that the log is complete.",
+    remedy="Check that the log is complete, or convert it with a newer tool of PX4.",
 )
 
 

@@ -394,10 +394,14 @@ def ground_of_block(*, where: str, count: int, low: float, high: float, apart: f
 
 ORIENTATION_HEIGHT = Code(
     "ORIENTATION-HEIGHT",
-    means="Stations are below the ground, or far above all others.",
+    means=(
+        "The heights of the cameras above the ground. Some stations may be below the ground, or "
+        "more than 15 km above it."
+    ),
     effect=(
-        "A note or a warning. Refused if many stations are below the ground. A loss if single "
-        "stations are far above."
+        "A note; a warning if stations are below the ground or too high above it. Refused if more "
+        "than a tenth are below the ground. If up to a tenth are too high, these are suspect: a "
+        "loss."
     ),
     remedy=(
         "Check the column of heights, its unit, heights (msl or ellipsoid), and the same for the "
@@ -558,7 +562,10 @@ GROUND_INTERSECTED = Code(
         "Ground heights are computed by intersection of the rays of points in several images. The "
         "entry gives their number and their sigma."
     ),
-    effect="A note; a loss if the sigma is large. Refused if no rays intersect.",
+    effect=(
+        "A note; a loss if the median sigma is more than 5 % of the height above the points. "
+        "Refused if no rays intersect."
+    ),
     remedy="If there are too few rays, give ground.height as a number, a column or a table.",
 )
 
@@ -924,7 +931,7 @@ TIES_RESIDUALS = Code(
     ),
     effect=(
         "As a note: none. As a finding: stations or cameras are probably wrong, and the run ends "
-        "with 3."
+        "with exit code 3."
     ),
     remedy=("Nothing for a note. For a finding, check the most likely explanations in its list."),
 )
@@ -937,8 +944,8 @@ ORIENTATION_TIES = Code(
         "block. It is a finding if the rays do not intersect, however the table is read."
     ),
     effect=(
-        "A note has none. After a finding the run ends with 3: the corrections use wrong stations "
-        "or cameras."
+        "A note has none. After a finding the run ends with exit code 3: the corrections use wrong "
+        "stations or cameras."
     ),
     remedy="Check whether orientations, images and cameras belong to the same block.",
 )

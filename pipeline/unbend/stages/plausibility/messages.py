@@ -9,7 +9,10 @@ from unbend.refraction.camera.camera import Camera
 
 PLAUSIBLE_GROUND = Code(
     "PLAUSIBLE-GROUND",
-    means="The ground is far above or below the take-off.",
+    means=(
+        "The ground is more than 300 m above or below the take-off, plus 20 m for each kilometre "
+        "from it."
+    ),
     effect="The correction is kept. The run ends with exit code 3.",
     remedy=(
         "Check ground.height and ground.reference: heights in feet, or another zero. Or accept the "
@@ -21,7 +24,7 @@ PLAUSIBLE_TERRAIN = Code(
     "PLAUSIBLE-TERRAIN",
     means=(
         "The ground heights contradict the terrain that the autopilot logged, or the elevation "
-        "model at the take-off."
+        "model contradicts the height of the take-off."
     ),
     effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check ground.height and ground.reference.",
@@ -174,11 +177,15 @@ def distortion_order(*, where: str, name: str, most: float) -> Message:
 PLAUSIBLE_EXTENT = Code(
     "PLAUSIBLE-EXTENT",
     means=(
-        "The observations do not fill the image, or are outside it. They belong to images of "
-        "another size."
+        "More than 1 % of the observations are outside the image, or many observations fill less "
+        "than 70 % of it. They may belong to images of another size, or count from the centre of "
+        "the image."
     ),
     effect="The correction is kept. The run ends with exit code 3.",
-    remedy=("Check width_px and height_px, and whether points were measured in reduced images."),
+    remedy=(
+        "Check width_px and height_px, the columns of x and y, and whether points were measured in "
+        "reduced images."
+    ),
 )
 
 
@@ -219,7 +226,9 @@ def extent_of_observations(
 
 PLAUSIBLE_DIRECTION = Code(
     "PLAUSIBLE-DIRECTION",
-    means="The viewing direction of a camera contradicts its name, or is above the horizon.",
+    means=(
+        "The viewing direction of a camera contradicts its name, or is near or above the horizon."
+    ),
     effect="The correction is kept. The run ends with exit code 3.",
     remedy="Check the mount: degrees, signs, exchanged cameras.",
 )
@@ -269,7 +278,10 @@ def angle_in_radians(*, where: str, angle: str, name: str, value: float, deg: fl
 
 PLAUSIBLE_LEVER_ARM = Code(
     "PLAUSIBLE-LEVER-ARM",
-    means=("A lever arm is longer than 10 m, or puts a camera that looks down above the antenna."),
+    means=(
+        "A lever arm is longer than 10 m, or puts a camera that looks down more than 0.25 m above "
+        "the antenna."
+    ),
     effect="The correction is kept. The run ends with exit code 3.",
     remedy="Give metres, forward, right, down (down is positive).",
 )
@@ -328,7 +340,7 @@ def ground_sigma_large(*, where: str, sigma: float) -> Message:
 
 PLAUSIBLE_DELAY = Code(
     "PLAUSIBLE-DELAY",
-    means="delay_s is more than a second.",
+    means="delay_s under events.log is more than a second.",
     effect="The correction is kept. The run ends with exit code 3.",
     remedy="Give seconds, not milliseconds. Do not state the offset of a clock here.",
 )
@@ -351,8 +363,9 @@ def delay_large(*, where: str, name: str, delay: float) -> Message:
 PLAUSIBLE_WINDOW = Code(
     "PLAUSIBLE-WINDOW",
     means=(
-        "The log has the air of a cabin, or a barometer in a closed compartment, but no camera has "
-        "a window. Or a window is tilted by more than 35 degrees from the optical axis."
+        "The log has a barometer in a closed compartment, or log.channels.cabin_pressure is named, "
+        "but no camera has a window. Or a window is tilted by more than 35 degrees from the "
+        "optical axis."
     ),
     effect="The correction is kept. The run ends with exit code 3.",
     remedy=(
@@ -624,8 +637,8 @@ def air_implausible(
 PLAUSIBLE_APPLY = Code(
     "PLAUSIBLE-APPLY",
     means=(
-        "direction is apply, and the stations are from a log. Measured observations would then "
-        "contain refraction twice."
+        "direction is apply, and there is no stations.orientation: the stations are those of a "
+        "flight. Measured observations would then contain refraction twice."
     ),
     effect="The run ends with exit code 3.",
     remedy="Set refraction.direction: remove. If the mission is a plan, accept the finding.",

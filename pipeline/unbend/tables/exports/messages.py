@@ -91,7 +91,10 @@ def camera_numbers(*, where: str, count: int, numbers: str) -> Message:
 
 EXPORT_DISTORTION = Code(
     "EXPORT-DISTORTION",
-    means="The distortion of the camera cannot be written for that program.",
+    means=(
+        "The distortion of the camera, or its different fx and fy, cannot be written for that "
+        "program."
+    ),
     effect="The export is refused.",
     remedy=(
         "Export --format bundler, which has no distortion. Or use a camera model that the program "
@@ -398,8 +401,14 @@ def name_with_separator(*, where: Path | str, name: str, program: str) -> Missio
 
 EXPORT_NO_GROUND = Code(
     "EXPORT-NO-GROUND",
-    means="The height of the ground below images is not known.",
-    effect="They have no footprint or calibration. Refused if no image has one.",
+    means=(
+        "The height of the ground below images is not known, or a corner of an image does not show "
+        "the ground."
+    ),
+    effect=(
+        "Such images have no footprint, or a lattice without corrections. A calibration is refused "
+        "if it is so for all images."
+    ),
     remedy="Give --ground-height.",
 )
 
@@ -494,7 +503,10 @@ def no_station_placed(*, where: Path | str, lacking: str) -> MissionError:
 
 EXPORT_NO_TIES = Code(
     "EXPORT-NO-TIES",
-    means="No point was measured in two images. So nothing connects the images.",
+    means=(
+        "No point was measured in two images, and no database with matches was read. So nothing "
+        "connects the images."
+    ),
     effect="The database is written without matches.",
     remedy="Measure the points in more than one image.",
 )
@@ -514,7 +526,7 @@ def no_ties(*, where: str) -> Message:
 
 EXPORT_OPTION = Code(
     "EXPORT-OPTION",
-    means="An option of the export is out of range, or a needed option is missing.",
+    means="An option of the export is out of range, is not one of this format, or is missing.",
     effect="The export is refused.",
     remedy="Give it as the refusal states.",
 )
@@ -633,7 +645,7 @@ EXPORT_RESIDUAL = Code(
         "The fitted calibration leaves a part of the refraction. A calibration cannot contain this "
         "part."
     ),
-    effect="Above 10 % it is a loss. Above 50 % it is refused.",
+    effect="Above 10 % it is a loss. Above 50 % it is refused, if it is more than 0.02 px.",
     remedy=(
         "Export corrected points, which contain no refraction: --format bundler for Metashape, "
         "colmap or colmap-database for COLMAP, opensfm for OpenSfM and ODM, bingo for BINGO and "
@@ -819,7 +831,7 @@ EXPORT_RIGS = Code(
     "EXPORT-RIGS",
     means=(
         "The rigs of several cameras, and their frames, of the database that was read. A rig is "
-        "kept if each of its cameras is one camera of the mission."
+        "kept if its reference camera, and at least one other, is one camera of the mission."
     ),
     effect="A note; a warning if a rig is not kept. Then each of its cameras is a separate rig.",
     remedy="Define one camera of the mission for each camera of the rig.",

@@ -212,14 +212,17 @@ def crs_unknown(*, where: Path | str, crs: str, error: str, named: str) -> Input
 CRS_VERTICAL = Code(
     "CRS-VERTICAL",
     means=(
-        "Heights refer to a vertical datum that is not mean sea level or EGM96, or to another "
-        "ellipsoid than that of WGS 84."
+        "Heights refer to a vertical datum that is not mean sea level or EGM96, to another "
+        "ellipsoid than that of WGS 84, or to another reference than the stated one."
     ),
     effect=(
-        "Refused without the grid of the datum. With the grid it is a note, or a warning if the "
-        "grid differs by 3 m or more from EGM96."
+        "Refused, unless the grid of the datum is given. With the grid it is a note, a warning if "
+        "the grid differs by 3 m or more from EGM96, and refused above 10 m."
     ),
-    remedy="Give the grid of the datum as mission.geoid, or heights above the sea.",
+    remedy=(
+        "Give the grid of the datum as mission.geoid, or heights above the sea, or state the "
+        "reference of the heights."
+    ),
 )
 
 
@@ -366,7 +369,10 @@ def rasters_of_several_systems(*, where: Path | str) -> InputError:
 
 DEM_RASTER = Code(
     "DEM-RASTER",
-    means="The elevation model is not a single band of heights, north up.",
+    means=(
+        "The elevation model is not a single band of heights, north up, or states blocks that are "
+        "far too large for its file."
+    ),
     effect="The mission is refused.",
     remedy="Write one band, north up (gdalwarp). Name the tiles of a VRT instead of the VRT.",
 )
@@ -558,8 +564,10 @@ def dem_unreadable(*, where: Path | str, error: str) -> InputError:
 
 GEOID_GRID = Code(
     "GEOID-GRID",
-    means="The file is not a grid of undulations.",
-    effect="The mission is refused.",
+    means=(
+        "The file is not a grid of undulations, or it is a GeoTIFF and rasterio is not installed."
+    ),
+    effect="The mission or the export is refused.",
     remedy=(
         "Give a .gtx or GeoTIFF in geographic coordinates, with ellipsoidal minus orthometric "
         "heights in metres."
@@ -693,13 +701,14 @@ def points_table(*, where: Path | str, error: str) -> InputError:
 EXPORT_CRS = Code(
     "EXPORT-CRS",
     means=(
-        "The coordinate system of --crs cannot be used for this export. It is unknown, has no grid "
-        "for angles, is far from the flight, or has heights that need a missing grid."
+        "The coordinate system of --crs cannot be used for this export. For example, it is "
+        "unknown, has no grid for angles, is far from the flight, or has heights that need a "
+        "missing grid."
     ),
     effect="The export is refused.",
     remedy=(
-        "Choose another system, as the refusal states. A UTM zone on WGS 84 or ETRS89 is always "
-        "possible."
+        "Choose another system, as the refusal states. Outside the polar regions the UTM zone of "
+        "the flight, on WGS 84, is possible."
     ),
 )
 

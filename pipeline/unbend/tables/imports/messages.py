@@ -88,7 +88,7 @@ def images_without_time(*, where: str, count: int, total: int, examples: str) ->
 EXIF_UNREADABLE = Code(
     "EXIF-UNREADABLE",
     means="The EXIF or the XMP of some files cannot be read.",
-    effect="They have no time, position or angles.",
+    effect="The values that could not be read (time, position or angles) are unknown.",
     remedy="Check whether the files are damaged.",
 )
 
@@ -319,7 +319,10 @@ IMPORT_EO_ANGLES = Code(
     "IMPORT-EO-ANGLES",
     means="The header of an EO text does not state the unit or the zone of its angles.",
     effect="Attitudes are taken from another source.",
-    remedy="State the zone in events.positions.<camera>.grid, the unit in the header of the text.",
+    remedy=(
+        "If the zone is missing, state events.positions.<camera>.grid. If the unit is missing, "
+        "export with 'orientation in Degrees'."
+    ),
 )
 
 
@@ -416,7 +419,8 @@ def eo_shift_unknown(*, where: str, shift: str) -> Message:
 IMPORT_EO_GRID = Code(
     "IMPORT-EO-GRID",
     means=(
-        "The grid of the angles in the EO text is not stated, or is not the grid of its positions."
+        "PROJ does not know the grid of the angles in the EO text, or it is not the grid of its "
+        "positions."
     ),
     effect="The mission is refused.",
     remedy="State events.positions.<camera>.grid, as EPSG:32632.",
@@ -686,8 +690,8 @@ def smrmsg_of_other_times(
 
 IMPORT_NO_POSITION = Code(
     "IMPORT-NO-POSITION",
-    means="Images of the .MRK have no position (quality 0).",
-    effect="These stations have no position.",
+    means="Images of the .MRK have no position (quality 0, or latitude and longitude 0).",
+    effect="These stations have no position from this file.",
     remedy="Process the file with corrections, or give another trajectory.",
 )
 
@@ -826,7 +830,10 @@ def rows_repeat_time(*, where: str, count: int, total: int, first: int) -> Messa
 
 IMPORT_SPEED = Code(
     "IMPORT-SPEED",
-    means="The speed between the positions of an SBET contradicts its velocities.",
+    means=(
+        "The speed between the positions of an SBET contradicts its velocities, or is above 700 "
+        "m/s."
+    ),
     effect="The mission is refused.",
     remedy="Export an SBET in radians, latitude before longitude.",
 )
@@ -985,7 +992,7 @@ def wander_sign(
 
 IMPORT_WEEK = Code(
     "IMPORT-WEEK",
-    means="Times are seconds of the week, but the week is not stated.",
+    means="Times are seconds of the week, but neither the mission file nor a log states the week.",
     effect="The mission is refused.",
     remedy="Give time: {week: NUMBER}, counted from 1980-01-06.",
 )
@@ -1201,7 +1208,7 @@ def orientations_without_time(*, where: str, count: int, line: int) -> Message:
 
 TRAJECTORY_AGREES = Code(
     "TRAJECTORY-AGREES",
-    means="The distance of the imported positions from those of the log.",
+    means="The distance of the imported positions from the positions of the log.",
     effect=(
         "A note; above 5 m a warning, above 20 m a loss (for a time offset: 0.15 s and 0.75 s)."
     ),
@@ -1310,7 +1317,7 @@ def trajectory_alone(*, where: str) -> Message:
 
 TRAJECTORY_ANGLES = Code(
     "TRAJECTORY-ANGLES",
-    means="The imported attitude fits the log only with another unit, sense or order.",
+    means="The imported attitude fits the log far better with another unit, sense or order.",
     effect="The mission is refused.",
     remedy="State angle_unit and angle_order, and which column is which.",
 )
@@ -1378,7 +1385,7 @@ def trajectory_angles_alone(*, where: str) -> Message:
 
 TRAJECTORY_HEIGHT = Code(
     "TRAJECTORY-HEIGHT",
-    means="The imported heights fit the log only if they are above the other surface.",
+    means="The imported heights fit the log far better if they are above the other surface.",
     effect="The mission is refused.",
     remedy=(
         "Give heights: msl or ellipsoid, as the refusal states, or correct mission.undulation_m."
@@ -1471,7 +1478,7 @@ def trajectory_place(*, where: str, away: str, log: str, hints: str) -> MissionE
 TRAJECTORY_QUALITY = Code(
     "TRAJECTORY-QUALITY",
     means="The quality classes of the solutions of the trajectory.",
-    effect="Their sigmas depend on it.",
+    effect="None. Single-point fixes are reported separately (TRAJECTORY-SINGLE).",
     remedy="Nothing.",
 )
 
@@ -1536,8 +1543,8 @@ _LEAST_ZONE_S = 1700.0  # a zone is half an hour or more
 TRAJECTORY_TIME = Code(
     "TRAJECTORY-TIME",
     means=(
-        "The imported times fit the log only with a shift: GPS time was read as UTC, or a time "
-        "zone is missing."
+        "The imported times fit the log far better with a shift. For example, GPS time was read as "
+        "UTC, or a time zone is missing."
     ),
     effect="The mission is refused.",
     remedy="State the time system of the file: time: {system: gpst} or {system: utc}.",

@@ -573,7 +573,7 @@ def dbat_model_unknown(*, where: Path | str, model: float) -> InputError:
 
 INPUT_MISSING = Code(
     "INPUT-MISSING",
-    means="A file that the mission file names does not exist.",
+    means="A file that the mission file names, or a file of its block, does not exist.",
     effect="The mission is refused.",
     remedy="Check the path; paths are relative to the mission file.",
 )
