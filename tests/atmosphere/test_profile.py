@@ -142,7 +142,10 @@ def test_the_table_as_a_frame():
     profile = standard_atmosphere()
     frame = profile.to_pandas([0.0, 1000.0])
     assert frame.pressure_pa.round(1).tolist() == [101325.0, 89876.3]
-    assert len(profile.to_pandas()) == profile.layers.edge.size
+    edges = profile.to_pandas()
+    assert len(edges) == profile.layers.edge.size
+    # Each layer at its base, and the top of the last.
+    assert_allclose(edges.h_base_m[:-1], edges.h_m[:-1], rtol=1e-14)
 
 
 # How profiles are made

@@ -73,6 +73,18 @@ def test_missions_run_in_the_order_given_and_no_end_stops_the_rest():
     assert a.name == "a"
 
 
+def test_an_interrupt_ends_all_missions():
+    begun = []
+
+    def run_mission(mission: MissionRef, /, *, progress=None) -> Outcome:
+        begun.append(mission.path.stem)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(run_many(run_mission, missions_named("a", "b"), Inline(contextlib.nullcontext)))
+    assert begun == ["a"]
+
+
 @pytest.mark.parametrize(
     ("count", "expected"),
     [

@@ -15,6 +15,7 @@ from tests.helpers import one_line
 from tests.refraction.straight_lines import metres_apart
 from unbend import __version__
 from unbend.cli.app import GROUPS
+from unbend.ingest import open_log
 from unbend.ingest.flight_log import Log
 from unbend.refraction import angle
 
@@ -250,8 +251,10 @@ def test_inspect(unbend, flown, kind):
     assert log["boots"] == 1
     assert log["bad_bytes"] == log["lost_messages"] == 0
     assert log["duration_s"] == pytest.approx(flown.duration_s, abs=30.0)
-    for channel in log["channels"]:
-        assert channel["name"] in plain.out
+    # A mission file names channels by these.
+    names = {channel.name for channel in open_log(flown.logs[kind]).channels}
+    assert {channel["name"] for channel in log["channels"]} == names
+    assert all(name in plain.out for name in names)
 
 
 def test_inspect_of_a_cut_log_ends_with_the_code_of_losses(obeyed, flown, tmp_path):

@@ -24,6 +24,8 @@ def test_the_factor_is_that_of_the_flight_over_the_standard():
         r_of_standard = refraction_angle(STANDARD, 6000.0, 200.0, zeta)
         assert_close(effect.factor, r_of_flight / r_of_standard, rtol=1e-14)
         assert effect.factor != 1.0
+        assert_close(effect.r_c_rad, r_of_flight, rtol=1e-14)
+        assert (effect.h_c_m, effect.h_g_m) == (6000.0, 200.0)
         assert math.isnan(effect.sigma_factor)
 
 

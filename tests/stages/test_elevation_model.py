@@ -13,6 +13,7 @@ from rasterio import Affine
 from tests.helpers import codes_of, entry_of
 from tests.stages.terrain_models import CELLS, terrain_grid
 from tests.tables.geodata.rasters import write_raster
+from unbend.batch.runs import figure_data_of
 
 STEP_M = 20.0
 WIDE_STEP_M = 80.0  # of a model in which the field lies as well
@@ -191,6 +192,14 @@ def test_a_model_that_the_take_off_verifies_or_none(mission, modelled, has_model
     kinds = kinds_of(mission)
     assert not {"DEM-UNVERIFIED", "TIES-HEIGHT", "PLAUSIBLE-TERRAIN"} & set(kinds)
     assert "finding" not in kinds.values()
+
+
+def test_the_map_has_the_relief_of_the_model(mission, modelled):
+    modelled()
+    flown = figure_data_of(mission.checked().corrected)
+    limits_deg, light = flown.relief
+    assert limits_deg == pytest.approx(flown.limits_deg, abs=3e-4)
+    assert np.ptp(light[np.isfinite(light)]) > 0.1
 
 
 def test_a_model_of_another_datum_is_found_at_the_take_off(mission, modelled):

@@ -207,6 +207,15 @@ def test_a_bomb_is_skipped(opened, compression, promised, size, code):
     assert len(log.channel("/imu")) == 60
 
 
+def test_chunks_that_are_each_free_share_one_budget(opened):
+    """Of 256 MiB, in which each counts twice; that they hold less is seen when it is too late."""
+    claim = packed_chunk("zstd", 60 << 20, packed_zeros("zstd", 1 << 20))
+    log = opened(spliced(flight().data, 3 * claim))
+    assert "all chunks of a file" in entry_in(log, "LOG-TOO-LARGE").what
+    assert loss_codes(log) == {"LOG-CRC", "LOG-BAD-BYTES", "LOG-TOO-LARGE"}
+    assert len(log.channel("/imu")) == 60
+
+
 @pytest.mark.parametrize("size", [1000, 20 << 20])
 def test_a_window_of_128_mib_is_not_looked_back_over(opened, size):
     import zstandard
