@@ -1,6 +1,6 @@
 """The same inputs give the same bytes, whatever the machine, its settings and the day.
 
-Each case is a run in a process of its own. `make test` has three; UNBEND_MACHINES=all runs each
+Each case is a run in a process of its own. `make test` has two; UNBEND_MACHINES=all runs each
 (RELIABILITY.md, F15).
 """
 

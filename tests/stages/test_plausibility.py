@@ -376,6 +376,7 @@ def test_a_station_height_that_fits_in_feet_only(station_m, ground_m, takeoff_m,
     assert len(warnings) == warned
     for warning in warnings:
         assert warning.kind is Kind.WARNING
+        assert warning.code == "SURFACE-FEET"
         assert "1417 ft are 432 m" in warning.what
         assert warning.where == "atmosphere.surface[0].h_msl_m"
 

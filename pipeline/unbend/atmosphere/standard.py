@@ -106,7 +106,7 @@ def _supplements(place: SeasonAndPlace, index: IndexModel) -> Profile:
 
 
 def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
-    """The dry profile of NRLMSIS 2.1 at noon UTC in the middle of the month, to 80 km.
+    """The dry profile of NRLMSIS 2.1 at noon UTC of the day, to 80 km.
 
     Its pressure at sea level is that of the Supplements. Source: Emmert et al. 2022, NRLMSIS 2.1,
     doi:10.1029/2022JA030896.

@@ -230,10 +230,7 @@ class Axis:
         return np.concatenate([clocks, shifted_clocks]), shares
 
     def shares_without_partner(self, clock: Array) -> Shares:
-        """The shares without a partner, from the first to the last pair, under one clock (2,).
-
-        They are 0 without any pair.
-        """
+        """The shares without a partner between the first and last pair, under one clock (2,)."""
         partner = self.partners(clock[None])[0]
         paired = np.flatnonzero(partner >= 0)
         image_span = 1

@@ -77,10 +77,7 @@ class OutputSection(Section):
         250_000,
         ge=1_000,
         le=2_000_000,
-        description=(
-            "largest number of rows of observations that are corrected and written together, as a "
-            "part of the table of results"
-        ),
+        description="largest number of rows that are corrected together, and written as one file",
         examples=[250000],
         json_schema_extra={"unit": "1"},
     )
@@ -118,9 +115,8 @@ class Mission(Section):
     log: LogSection | None = Field(
         None,
         description=(
-            "the flight log. May be left out if other files give the position and attitude of "
-            "every image: stations.orientation; or stations.trajectory with attitudes and events "
-            "with times; or events.positions with attitudes"
+            "the flight log. May be left out if stations.orientation, events.positions with "
+            "attitudes, or stations.trajectory with attitudes and events with times, give stations"
         ),
     )
     observations: ObservationsSection = Field(

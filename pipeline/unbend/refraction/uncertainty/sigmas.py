@@ -11,7 +11,7 @@ cancels, and the remaining error is tan(zeta) times
 
 a_cc = dN_cc/dx the response of the air in the cabin. Where the normal leans, y = a_c - a_cc remains
 too, in proportion to the lean; the tables (`air_tables`) contain sigma of x, the covariance of x
-and y over sigma of y, and sigma of y. The sphere changes x by less than 1 % up to 80 degrees and by
+and y over sigma of y, and sigma of y. The sphere changes x by less than 2 % up to 80 degrees and by
 4 % at 85; that is neglected.
 
 Of the leading mode of the covariance (`leading_mode`) the tables contain v and y themselves, with

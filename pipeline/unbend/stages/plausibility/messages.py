@@ -590,8 +590,8 @@ def many_flagged(*, where: str, percent: float, name: str, most: float, cause: s
 PLAUSIBLE_AIR = Code(
     "PLAUSIBLE-AIR",
     means=(
-        "R differs from that of the standard atmosphere by more than in any of 479 radiosonde "
-        "ascents, and by more than its own sigma explains."
+        "R differs from that of the standard atmosphere more than 1.5 times as much as in any of "
+        "479 radiosonde ascents, and by more than its own sigma explains."
     ),
     effect="The correction is kept. The run ends with exit code 3.",
     remedy=(
