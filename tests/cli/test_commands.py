@@ -257,6 +257,15 @@ def test_inspect(unbend, flown, kind):
     assert all(name in plain.out for name in names)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="named pipes of POSIX")
+def test_inspect_refuses_a_pipe(unbend, tmp_path):
+    """It does not wait for somebody to write into it."""
+    os.mkfifo(tmp_path / "flight.bin")
+    ended = unbend("inspect", tmp_path / "flight.bin")
+    assert ended.code == 6
+    assert ended.err.startswith("LOG-MISSING: it is a pipe")
+
+
 def test_inspect_of_a_cut_log_ends_with_the_code_of_losses(obeyed, flown, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(flown.logs["mcap"].read_bytes()[:-5000])

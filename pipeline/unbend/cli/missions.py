@@ -359,7 +359,9 @@ def inspect(
     with answer.progress(f"reading {log.name}"):
         from unbend.ingest import open_log
 
-        if kind is None and (print_weather(answer, log) or print_weather_model(answer, log)):
+        # Reading a pipe might never end: `open_log` refuses it.
+        may_be_weather = kind is None and log.is_file()
+        if may_be_weather and (print_weather(answer, log) or print_weather_model(answer, log)):
             raise typer.Exit(EXIT_DONE)
         opened = open_log(log, needs_channels=kind is None)
         columns = None if kind is None else opened.message(kind, instance)
