@@ -925,9 +925,9 @@ TIES_MOUNT = Code(
 TIES_RESIDUALS = Code(
     "TIES-RESIDUALS",
     means=(
-        "The distance between the rays of tie points before adjustment. The refraction of us1976 "
-        "is removed, the refraction of windows is not. As a finding: only a part of the rays "
-        "intersect, and no single mistake explains it."
+        "The distance between the rays of tie points before adjustment. For this check alone the "
+        "refraction of us1976 is removed, that of windows is not. As a finding: the rays intersect "
+        "only in part or poorly, and no single mistake explains it."
     ),
     effect=(
         "As a note: none. As a finding: stations or cameras are probably wrong, and the run ends "

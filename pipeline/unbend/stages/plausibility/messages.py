@@ -319,7 +319,7 @@ def lever_arm_above(*, where: str, name: str, up: float, most: float) -> Message
 
 PLAUSIBLE_SIGMA = Code(
     "PLAUSIBLE-SIGMA",
-    means="The sigma of the ground is more than 50 m.",
+    means="The key ground.sigma_m is above 50 m.",
     effect="The sigmas follow it; the run ends with exit code 3.",
     remedy="Give the sigma in metres, not the height.",
 )
