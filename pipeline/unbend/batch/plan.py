@@ -82,9 +82,9 @@ class Plan:
 
     @property
     def file_from_output(self) -> str:
-        """The path of the mission file from the folder of the results; "" if there is none.
+        """The path of the mission file from the folder of the results; "" if it is unknown.
 
-        None for results at a URL or an absolute path, which may be on another disk.
+        It is "" too for results at a URL, or with an absolute path, which may be on another disk.
         """
         if self.file is None or isinstance(self.output, Place):
             return ""
