@@ -102,7 +102,7 @@ def test_a_camera_of_a_report(tmp_path, as_it_is):
             "14000 x 10600 px, but the mission file states 10600 x 14000",
         ),
         ({"file": "camera_models.json"}, "CAMERA-NAME", "'v2 oblique', 'v2 other'"),
-        ({"file": "camera_models.json", "camera": "v2 other"}, "IMPORT-FORMAT", "focal"),
+        ({"file": "camera_models.json", "camera": "v2 other"}, "CAMERA-MODEL", "spherical"),
         ({"file": "wide.txt"}, "CAMERA-FILE", "CAMERA-FIELD"),
     ],
 )
