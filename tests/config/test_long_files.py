@@ -16,7 +16,8 @@ MOST_CPU_S = 20.0
 
 LONG_TEXTS = {
     "unknown keys": "".join(f"k{number}: 1\n" for number in range(20_000)),
-    "open questions": f"mission: {{name: [{','.join(['TODO'] * 40_000)}]}}",
+    "open questions": "cameras:\n"
+    + "".join(f"  c{number}: {{f_px: TODO}}\n" for number in range(8_000)),
     "soundings": "atmosphere:\n  soundings:\n" + "  - {path: [1, 2], format: {a: 1}}\n" * 8_000,
     "cameras": "cameras:\n"
     + "".join(f"  c{number}: {{f_px: 1, k: 2}}\n" for number in range(8_000)),

@@ -51,6 +51,34 @@ def test_blocks_of_a_file_are_decoded_once_for_the_tiles_they_serve():
     assert model.heights(np.array([600.0]), np.array([700.0])) == heights[600, 700]
 
 
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [
+        ("m", 100.0),
+        ("Metre", 100.0),
+        ("meter", 100.0),
+        ("metres", 100.0),
+        ("meters", 100.0),
+        ("ft", 30.48),
+        ("foot", 30.48),
+        ("Feet", 30.48),
+        ("us-ft", 30.48006),
+        ("US survey foot", 30.48006),
+    ],
+)
+def test_heights_in_the_unit_of_the_band(unit, metres):
+    """A US survey foot is 1200/3937 m."""
+    path = write_raster(
+        "dem.tif",
+        np.full((8, 8), 100.0, np.float32),
+        Affine(STEP, 0, 8.0, 0, -STEP, LAT),
+    )
+    with rasterio.open(path, "r+") as raster:
+        raster.units = [unit]
+    model = opened(path)
+    assert model.heights(np.array([3.0]), np.array([4.0])) == pytest.approx(metres, abs=1e-5)
+
+
 def test_rasters_either_side_of_the_date_line_are_one_model():
     heights = relief(CELLS, CELLS)
     north = LAT + 0.5 * CELLS * STEP
