@@ -250,6 +250,7 @@ def test_sampled_rows_are_those_of_the_table(tmp_path, kind):
     ).sampled()
     rows = batch.x_px.astype(int)
     assert len(batch) == 90
+    assert batch.rows.tolist() == rows.tolist()
     assert batch.image.to_pylist() == table["image"][rows].tolist()
     np.testing.assert_array_equal(batch.y_px, -batch.x_px)
     assert batch.users == {}

@@ -72,6 +72,15 @@ def assert_rows(events, numbers):
     assert rows.tolist() == (numbers - 1).tolist()
 
 
+@pytest.mark.parametrize(("logged", "rows"), [("", []), ("I0001.jpg", [0, 1, 2])])
+def test_without_observed_images_events_are_those_with_a_name(logged, rows):
+    events = Events("nadir", np.full(3, logged, object), np.arange(3) * 10**9)
+    no_images = numbered_images(numbers_of(1, 0))
+    taken, notes = assigned(events, no_images)
+    assert taken.rows.tolist() == rows
+    assert notes == ()
+
+
 class NeverFits(TieLikelihood):
     """Tie points whose rays meet under no assignment, and which favour none."""
 

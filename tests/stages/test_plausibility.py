@@ -443,6 +443,7 @@ def test_the_direction_of_a_camera_is_the_median_of_its_good_stations():
 def test_what_a_fisheye_sees_follows_its_angles():
     """3000 px of 1/950 rad are 180.9 deg; the ground to 85 deg: 2 * 1000 m * 11.43."""
     facts = SimpleNamespace(
+        mission=SimpleNamespace(cameras={}),
         cameras={"nadir": FISHEYE},
         of_camera=lambda name, values: values,
         camera_height_m=np.array([1000.0]),

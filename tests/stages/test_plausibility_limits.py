@@ -17,7 +17,7 @@ from unbend.refraction import BrownConrady, Camera
 from unbend.refraction.lens_air import TypicalLens
 from unbend.refraction.status_codes import STATUS_NAMES
 from unbend.refraction.window import Cabin, Window
-from unbend.stages.plausibility import rules
+from unbend.stages.plausibility import height_rules, rules
 from unbend.stages.plausibility.lens_references import lens_references
 
 approx = pytest.approx
@@ -102,13 +102,13 @@ def ground(km_north, height_m):
     ],
 )
 def test_the_ground_lies_near_the_takeoff(km, height_m, off_m):
-    finding = finding_of(rules.ground_against_takeoff, ground(km, height_m))
+    finding = finding_of(height_rules.ground_against_takeoff, ground(km, height_m))
     assert finding["off_m"] == approx(off_m)
 
 
 def test_the_ground_far_below_the_takeoff_in_numbers():
     far_below = ground(10.0, -101.0)
-    finding = finding_of(rules.ground_against_takeoff, far_below, "ground.height")
+    finding = finding_of(height_rules.ground_against_takeoff, far_below, "ground.height")
     assert finding["height_m"] == -101.0
     assert finding["allowed_m"] == approx(500.0, abs=0.1)
     assert finding["reference"] == "the take-off, 10 km away"
@@ -139,7 +139,7 @@ def test_the_ground_lies_near_the_logged_terrain(above_m, nadir_rad, off_m):
         nadir_angle_rad=np.full(6, nadir_rad),
     )
 
-    finding = finding_of(rules.ground_against_terrain, made)
+    finding = finding_of(height_rules.ground_against_terrain, made)
 
     assert finding["off_m"] == approx(off_m)
     if off_m is not None:
@@ -157,7 +157,7 @@ def test_the_ground_lies_near_the_logged_terrain(above_m, nadir_rad, off_m):
 )
 def test_the_elevation_model_lies_near_the_takeoff(model_m, stands, off_m):
     made = facts(takeoff=takeoff(stands), model_at_takeoff_m=model_m)
-    finding = finding_of(rules.model_against_takeoff, made)
+    finding = finding_of(height_rules.model_against_takeoff, made)
     assert finding["off_m"] == off_m
 
 
@@ -174,7 +174,7 @@ def test_the_elevation_model_lies_near_the_takeoff(model_m, stands, off_m):
     ],
 )
 def test_the_reading_that_explains_a_difference_best_is_likely(off_m, ground_m, takeoff_m, reading):
-    assert rules.likely_reading(off_m, ground_m, takeoff_m) == reading
+    assert height_rules.likely_reading(off_m, ground_m, takeoff_m) == reading
 
 
 @pytest.mark.parametrize(
