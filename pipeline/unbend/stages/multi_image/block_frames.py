@@ -139,7 +139,7 @@ def in_wgs84(
     also gets the convergence of the grid at each position, 0 if the system has none. Returned with
     notes on the conversion. The table is unchanged if no coordinate system is stated.
     """
-    if section.crs is None or section.heights is None:  # both are stated, or none
+    if section.crs is None or section.heights is None:
         return table, ()
     if section.frame == "geographic":
         latitude, longitude, h = table.position.T
