@@ -57,6 +57,16 @@ def test_of_many_changes_five_are_named(done):
     assert "; and 1 more; " in text
 
 
+@pytest.mark.parametrize("role", ["temperature", "airspeed"])
+def test_a_null_that_is_stated_now(done, role):
+    done.config["log"]["channels"].pop(role, None)
+    run_mission(done.save())
+    done.config["log"]["channels"][role] = None
+    done.save()
+    (text,) = changes(done)
+    assert "a key is stated as null now, or is no longer" in text
+
+
 def test_the_size_of_batches_is_no_change(done):
     done.config["output"]["batch_rows"] = 10_000
     done.save()

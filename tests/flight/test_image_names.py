@@ -83,13 +83,15 @@ def test_composed_and_decomposed_names_are_the_same_image(of_events, observed):
 
 @pytest.mark.parametrize(
     ("first_image", "images", "shift"),
-    [(2, 5, 1), (3, 5, 2), (0, 5, 1), (1, 5, 0), (1, 6, 0), (9, 5, 0)],
+    [(8, 5, 1), (9, 5, 2), (6, 5, -1), (7, 5, 0), (7, 6, 0), (19, 5, 0)],
     ids=["one later", "two later", "one earlier", "equal", "one more", "nothing in common"],
 )
 def test_names_that_are_shifted(first_image, images, shift):
-    """Exposures 1 to 5."""
-    exposures = [f"IMG_{number:02}" for number in range(1, 6)]
-    observed = [f"IMG_{number:02}" for number in range(first_image, first_image + images)]
+    """Exposures 7 to 11 of one camera; a second camera has one more image than exposures."""
+    exposures = [f"left/IMG_{number}.tif" for number in range(7, 12)]
+    exposures += ["right/IMG_7.tif"]
+    observed = [f"left/IMG_{number}.tif" for number in range(first_image, first_image + images)]
+    observed += ["right/IMG_7.tif", "right/IMG_8.tif"]
     assert shift_of_names(observed, exposures) == shift
 
 

@@ -97,7 +97,7 @@ def test_images_without_an_exposure_are_appended_in_order_and_unused_exposures_a
 
 def test_names_that_are_one_later_than_the_exposures():
     _, notes = append_unmatched_images(stations(), ("image_1", "image_2", "image_3"))
-    assert "the names look shifted by 1" in notes[1].what
+    assert "the numbers of the images look shifted by +1" in notes[1].what
 
 
 def test_each_reason_is_a_loss_but_unmatched_images_are_entered_elsewhere():

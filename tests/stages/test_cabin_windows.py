@@ -87,6 +87,22 @@ def test_cameras_of_which_all_is_stated(forgotten, stated):
     assert checked(forgotten) == []
 
 
+def test_a_window_of_one_camera_is_no_statement_for_the_other(forgotten):
+    forgotten.config["cameras"]["nadir"]["window"] = {"cabin": "standard_schedule"}
+    (finding,) = checked(forgotten)
+    assert finding.where == "cameras.oblique.window"
+
+
+def test_the_shift_is_that_of_the_flying_height_with_an_exposure_on_the_ground(forgotten):
+    facts = forgotten.checked().corrected.facts
+    (without_it,) = windows_of_compartments(facts)
+    height_m = facts.exposures.height_m.copy()
+    height_m[0] = 450.0  # the take-off
+    exposures = replace(facts.exposures, height_m=height_m)
+    (finding,) = windows_of_compartments(replace(facts, exposures=exposures))
+    assert finding.what == without_it.what
+
+
 def test_a_stated_null_of_all_cameras_is_no_finding_but_a_note(forgotten):
     for camera in forgotten.config["cameras"].values():
         camera["window"] = None

@@ -34,8 +34,9 @@ def changed_inputs(plan: Plan, records: list[InputRecord]) -> Iterator[str]:
     """A sentence for each input that differs from those of a run; ``records`` are of that run."""
     hashes_before = {record.role: record.sha256 for record in records}
     inputs_now = {item.role: item for item in plan.inputs}
-    for role in hashes_before.keys() - inputs_now.keys():
-        yield f"{role} is no longer read"
+    for role in hashes_before:
+        if role not in inputs_now:
+            yield f"{role} is no longer read"
     for role, item in inputs_now.items():
         if role not in hashes_before:
             yield f"{role} is new ({item.name})"

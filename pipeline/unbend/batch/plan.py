@@ -82,15 +82,18 @@ class Plan:
 
     @property
     def file_from_output(self) -> str:
-        """The path of the mission file from the folder of the results; "" if it is unknown.
+        """The path of `file` from the folder of the results; "" if it is unknown.
 
-        It is "" too for results at a URL, or with an absolute path, which may be on another disk.
+        It is "" too for results at a URL, for an absolute ``output.path``, and if the file is on
+        another drive of Windows.
         """
-        if self.file is None or isinstance(self.output, Place):
+        output = self.mission.output.path
+        if self.file is None or is_url(output) or Path(output).is_absolute():
             return ""
-        if Path(self.mission.output.path).is_absolute():
+        try:
+            return Path(os.path.relpath(self.file, str(self.output))).as_posix()
+        except ValueError:  # another drive
             return ""
-        return Path(os.path.relpath(self.file, self.output)).as_posix()
 
     def input(self, role: str) -> Input:
         """The input of a role, as `named_inputs` names it: ``log``, ``sounding 1``, ..."""

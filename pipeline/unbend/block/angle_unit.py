@@ -12,7 +12,7 @@ from unbend.geodesy import wrapped
 from unbend.units import Array, Mask
 
 FEWEST_IMAGES = 6  # inside flight lines: fewer could follow them in the wrong unit by chance
-FULL_TURN_RAD = math.tau  # no heading in a file of radians is larger
+FULL_TURN_RAD = math.tau + 1e-3  # no heading in a file of radians is larger, even if rounded
 FOLLOWED = 0.9  # least concentration of course minus heading, if the headings follow the course
 LARGEST_TURN_RAD = math.pi / 4.0  # at an image that is inside a flight line
 LEVEL_RAD = math.pi / 2.0  # no tilt of a camera that looks down is larger
@@ -32,7 +32,7 @@ def courses(lat_rad: Array, lon_rad: Array) -> Array:
     [nan, 1.57, nan, nan]
     """
     step_north = np.diff(lat_rad)
-    step_east = np.diff(lon_rad) * np.cos(lat_rad[1:])
+    step_east = wrapped(np.diff(lon_rad)) * np.cos(lat_rad[1:])
     before_rad = np.arctan2(step_east[:-1], step_north[:-1])
     after_rad = np.arctan2(step_east[1:], step_north[1:])
     turn_rad = wrapped(after_rad - before_rad)
@@ -69,8 +69,9 @@ def are_radians(
     """Whether angles that are stated in degrees or gon follow the flight lines only as radians.
 
     False for tilts that a camera that looks down cannot have in radians (1.57 or more), and for
-    fewer than six images inside flight lines. False too where all flight lines have one
-    direction: then both units are possible.
+    fewer than six images inside flight lines. False too where most flight lines have similar
+    directions (three quarters of the images one direction, or two less than 120 degrees apart):
+    then both units are possible. Gon count as degrees: numbers this small hardly differ.
 
     Parameters
     ----------

@@ -146,23 +146,47 @@ def propose_differences(images: Collection[str], known: Collection[str]) -> str:
 
 
 def shift_of_names(images: Collection[str], known: Collection[str]) -> int:
-    """By how many names the images seem shifted against the exposures; 0 if they do not.
+    """By how many numbers the images of a series seem later than the exposures; 0 if they do not.
 
-    They seem shifted if as many images at one end of the names have no exposure as exposures at the
-    other end have no image, and all names between are common to both.
+    Negative if they seem earlier. A series has names that differ by their last number only. It
+    seems shifted if as many images at one end have no exposure as exposures at the other end have
+    no image, and all numbers between are common to both. Of several series the first counts.
 
-    >>> shift_of_names(["b", "c", "d"], ["a", "b", "c"])
+    >>> shift_of_names(["I9", "I10", "I11"], ["I8", "I9", "I10"])
     1
     """
-    only_images = sorted(set(images).difference(known))
-    only_known = sorted(set(known).difference(images))
-    common = sorted(set(images).intersection(known))
+    known_numbers = _numbers_of_series(known)
+    for series, numbers in _numbers_of_series(images).items():
+        shift = _shift_of_numbers(numbers, known_numbers.get(series, set()))
+        if shift:
+            return shift
+    return 0
+
+
+def _numbers_of_series(names: Collection[str]) -> dict[tuple[str, str], set[int]]:
+    """The last numbers in names, by the texts before and after them."""
+    numbers: dict[tuple[str, str], set[int]] = {}
+    for name in names:
+        parts = re.fullmatch(r"(.*?)(\d+)(\D*)", name)
+        if parts is not None:
+            before, number, after = parts.groups()
+            numbers.setdefault((before, after), set()).add(int(number))
+    return numbers
+
+
+def _shift_of_numbers(images: set[int], exposures: set[int]) -> int:
+    """By how much the numbers of images seem later than those of exposures; 0 if they do not."""
+    only_images = images - exposures
+    only_exposures = exposures - images
+    common = images & exposures
     shift = len(only_images)
-    if not common or shift == 0 or len(only_known) != shift:
+    if not common or shift == 0 or len(only_exposures) != shift:
         return 0
-    is_forward = only_known[-1] < common[0] and common[-1] < only_images[0]
-    is_backward = only_images[-1] < common[0] and common[-1] < only_known[0]
-    return shift if is_forward or is_backward else 0
+    if max(only_exposures) < min(common) and max(common) < min(only_images):
+        return shift
+    if max(only_images) < min(common) and max(common) < min(only_exposures):
+        return -shift
+    return 0
 
 
 def refuse_other_names(

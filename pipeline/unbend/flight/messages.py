@@ -1101,10 +1101,13 @@ def images_unmatched(
 
 
 def names_shifted(*, shift: int) -> str:
-    """A hint that images and exposures of equal names may not belong to each other."""
+    """A hint that images and exposures of equal names may not belong to each other.
+
+    By ``shift`` numbers the images are later than the exposures, or earlier if it is negative.
+    """
     return (
-        f"the names look shifted by {shift}: then every image has the exposure of another one; "
-        "check the first number of the images"
+        f"the numbers of the images look shifted by {shift:+d}: if they are, every image has the "
+        "exposure of another one; check the number of the first image"
     )
 
 

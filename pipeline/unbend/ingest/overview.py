@@ -78,8 +78,8 @@ def _take_off(
     """The height of the take-off, what it counts from, and how it is known.
 
     It is ``home_m``, the height above sea level that the log states, if it is given. Else it is the
-    height at the begin of the log, above ``reference``, if the vehicle is at rest there, and not
-    hovering by the ``evidence``; None if it is not.
+    height at the begin of the log, above ``reference``. That is None if the vehicle moves there, or
+    hovers by the ``evidence``, or if its height is unknown.
     """
     if home_m is not None:
         return {

@@ -80,6 +80,8 @@ def take_off_of(flight: Mapping[str, Any]) -> str:
     """The height of the take-off, and how it was found."""
     if not flight:
         return "unknown"
+    if flight.get("take_off_m") is None and flight.get("lowest_m") is None:
+        return "unknown: the log has no heights at its positions"
     if flight.get("take_off_m") is None:
         return "unknown: the aircraft is not at rest when the log begins"
     surface = flight.get("take_off_reference", flight.get("height_reference"))

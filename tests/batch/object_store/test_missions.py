@@ -69,6 +69,7 @@ def test_a_mission_in_object_storage(
     results = s3_place / "results"
     ended = run()
     manifest = read_manifest(results)
+    assert manifest.run.mission_file == ""  # a path on this machine
     attempt = results / f"attempts/{manifest.run.attempt}"
     assert f"results  {results}\n  report   {attempt}/report.html\n" in ended.out
     # The observations are those of a run in a folder, byte for byte.

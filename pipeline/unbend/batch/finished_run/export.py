@@ -328,11 +328,15 @@ def ground_of(run: FinishedRun, constant_m: float | None, ledger: Ledger) -> Arr
 def database_of(mission: Mission, manifest: Manifest, path: Path) -> Path | None:
     """COLMAP's database that the run read; None if it read none, or it is gone or changed.
 
-    ``path`` is the run's folder. The database is where the mission file names it; the mission file
-    itself may be gone.
+    ``path`` is the run's folder. The mission file may be gone. Its paths are relative to its
+    folder, which is unknown, so the database is located relative to the results.
     """
-    mission_folder = (path / manifest.run.mission_file).parent
-    file = mission_folder / mission.observations.path
+    mission_folder = Path("/?/?/?/?/?")  # a stand-in for the unknown one; has room for five ".."
+    database = mission.observations.path
+    if not os.path.isabs(database):
+        results = mission_folder / mission.output.path
+        database = os.path.relpath(mission_folder / database, results)
+    file = path / database
     if file.suffix.lower() != ".db" or not file.is_file():
         return None
     hashes_read = {item.sha256 for item in manifest.run.inputs if item.role == "observations"}

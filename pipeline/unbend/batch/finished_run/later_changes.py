@@ -25,15 +25,16 @@ def notes_on_changes(folder: Path, manifest: Manifest) -> Notes:
     was, seen from the results, or writes other results now, or if an input is not there: results
     are often kept without them.
     """
-    name_of_file = manifest.run.mission_file
-    file = Path(os.path.normpath(folder / name_of_file))
-    if not name_of_file or not file.is_file():
+    # Without a name in the manifest this is the folder.
+    file = Path(os.path.normpath(folder / manifest.run.mission_file))
+    if not file.is_file():
         return ()
     try:
         changes = _changes(file, folder, manifest)
     except ConfigError as refusal:
         changes = [f"the mission file is refused now ({refusal.code})"]
-    except UnbendError:  # an input is missing, or a storage does not answer
+    # An input is missing, a storage is silent, or the manifest is of another version.
+    except UnbendError:
         return ()
     if not changes:
         return ()
@@ -44,7 +45,11 @@ def notes_on_changes(folder: Path, manifest: Manifest) -> Notes:
 
 
 def _changes(file: Path, folder: Path, manifest: Manifest) -> list[str]:
-    """A text for each key and each input that differs now from those of the run."""
+    """The changes since the run as texts, keys before inputs.
+
+    Empty too if the file has no mission of that name any more, or one with results elsewhere.
+    Refuses what `plan_of` refuses. Inputs that seem changed are read and hashed.
+    """
     run = manifest.run
     ref = _ref_of(file, run.mission)
     if ref is None:
@@ -55,16 +60,21 @@ def _changes(file: Path, folder: Path, manifest: Manifest) -> list[str]:
         return []
     # As this version understands the mission of the run: keys that are new have their defaults.
     config_of_run = mission_of(manifest, folder).model_dump(mode="json")
-    return [
+    changes = [
         *changed_keys(plan.config, config_of_run),
         *changed_inputs(plan, run.inputs),
     ]
+    # A stated null differs from an absent key, but has the same value.
+    is_other_run = plan.versions == run.versions and plan.fingerprint != run.fingerprint
+    if is_other_run and not changes:
+        changes.append("a key is stated as null now, or is no longer")
+    return changes
 
 
 def _ref_of(file: Path, mission: str) -> MissionRef | None:
-    """The mission of a mission file, or the one called ``mission`` of a campaign file.
+    """The mission of a mission file, of any name; or the one called ``mission`` of a campaign file.
 
-    None if the campaign has no such mission. The name in a mission file is not looked at.
+    None if the campaign has no such mission.
     """
     refs, campaigns = open_configs([file])
     if not campaigns:

@@ -196,10 +196,10 @@ def boot_clock_of(
     """Fit UTC to the clock since boot that PX4's messages count.
 
     ``line`` is the timeline by the messages of all topics. In each boot UTC comes from the
-    receivers among ``series``. If no receiver has a fix in any boot, cameras take their place. A
-    boot without either takes it from ``recorder`` (log_time), which is reported. ``recorder`` is
-    None if no message counts from a boot: the stamps are then used as they are. ``witnesses``:
-    other clocks that show the date.
+    receivers among ``series``. If no receiver gives a possible UTC in any boot, cameras take their
+    place. Other boots take it from ``recorder`` (log_time), which is reported. ``recorder`` is None
+    if no message counts from a boot: the stamps are then used as they are. ``witnesses``: other
+    clocks that show the date.
     """
     if recorder is None:
         return clock_of_stamps(line)

@@ -15,15 +15,16 @@ from unbend.stages.plausibility.facts import Facts
 from unbend.units import HECTOPASCAL
 
 SMALLEST_SHIFT_PX = 0.02  # by a window, halfway to a corner of the image: less is not measured
-AT_CAMERAS = 1.01  # outside over the lowest station's pressure, at most: from 80 m below it upwards
+NEAR_CAMERAS = 0.05  # difference of pressures outside, as a share: within 400 m of the cameras
 
 
 def windows_of_compartments(facts: Facts) -> Iterator[Message]:
-    """A finding if the log shows a closed compartment, and cameras have no statement of a window.
+    """A finding if the log shows a closed compartment, and a camera has no statement of a window.
 
-    At most one finding, on the first compartment with a window that would shift points measurably.
-    In its place a note, if all cameras without a window are stated to have none. Nothing is
-    compared in missions that name the barometer of the cabin: the rule `windows` does.
+    A statement is a window, an opening, or ``window: null``. At most one finding, on the first
+    compartment with a window that would shift points measurably. If all cameras have a statement, a
+    note in its place on those with null. Nothing is compared in missions that name the barometer of
+    the cabin: the rule `windows` does.
     """
     mission = facts.mission
     if mission.log is None or mission.log.channels.cabin_pressure is not None:
@@ -33,7 +34,7 @@ def windows_of_compartments(facts: Facts) -> Iterator[Message]:
     if not cameras:
         message = messages.window_stated_null
         cameras = cameras_of_stated_null(mission)
-    if mission.windows or not cameras or facts.height is None:
+    if not cameras or facts.height is None:
         return
     outside_channel = mission.log.channels.named().get("pressure")
     for compartment in closed_compartments(facts.channels, facts.height):
@@ -63,9 +64,9 @@ class WindowEffect(NamedTuple):
 def effect_of_window(
     facts: Facts, compartment: Compartment, cameras: tuple[str, ...]
 ) -> WindowEffect | None:
-    """What a window would do if ``cameras`` are in a closed compartment.
+    """What a window would do at the median height of the cameras, if they are in the compartment.
 
-    At the median height of the cameras. None if the compartment has no pressure there.
+    None if no usable station has a height, or the compartment has no pressure near that height.
     """
     profile = facts.adjustment.profile
     heights_m = facts.exposures.height_m[facts.stations.ok]
@@ -73,8 +74,8 @@ def effect_of_window(
     if heights_m.size == 0:
         return None
     height_m = float(np.median(heights_m))
-    lowest_station_pa = float(profile.pressure(np.min(heights_m)))
-    is_at_cameras = compartment.outside_pa < AT_CAMERAS * lowest_station_pa
+    outside_pa = float(profile.pressure(height_m))
+    is_at_cameras = np.abs(compartment.outside_pa / outside_pa - 1.0) < NEAR_CAMERAS
     if not is_at_cameras.any():
         return None
     inside_pa = float(np.median(compartment.inside_pa[is_at_cameras]))
@@ -83,7 +84,7 @@ def effect_of_window(
     difference = abs(refractivity_inside - refractivity_outside)
     return WindowEffect(
         inside_pa=inside_pa,
-        outside_pa=float(profile.pressure(height_m)),
+        outside_pa=outside_pa,
         shift_px=difference * halfway_to_corner_px(facts, cameras),
     )
 

@@ -149,7 +149,7 @@ def heights_of_weather_stations(facts: Facts) -> Iterator[Message]:
     """A warning for a weather station with a height that fits the ground only in feet.
 
     The ground is that of the observations, or the take-off. In metres the station is more than
-    300 m from both, in feet within 100 m of one of them.
+    300 m from both, in feet within 100 m of one of them. So heights below 430 ft are not noticed.
     """
     grounds_m = []
     ground_m = facts.rows.h_g_m

@@ -363,9 +363,9 @@ def delay_large(*, where: str, name: str, delay: float) -> Message:
 PLAUSIBLE_WINDOW = Code(
     "PLAUSIBLE-WINDOW",
     means=(
-        "The log has a barometer in a closed compartment, or log.channels.cabin_pressure is named, "
-        "but no camera has a window. Or a window is tilted by more than 35 degrees from the "
-        "optical axis."
+        "The log has a barometer in a closed compartment, and a camera has neither a window nor an "
+        "opening. Or log.channels.cabin_pressure is named, but no camera has a window. Or a window "
+        "is tilted by more than 35 degrees from the optical axis."
     ),
     effect="The correction is kept. The run ends with exit code 3.",
     remedy=(
@@ -401,8 +401,8 @@ def window_unstated(
         PLAUSIBLE_WINDOW,
         (
             "{barometer} is in a closed compartment (its pressure does not follow the height), but "
-            "no camera has a window. At the height of the cameras it has {inside_hpa:.0f} hPa, and "
-            "the air outside {outside_hpa:.0f} hPa: a window shifts points by about {shift_px:.2f} "
+            "these cameras have no window. At their height it has {inside_hpa:.0f} hPa, and the "
+            "air outside {outside_hpa:.0f} hPa: a window shifts points by about {shift_px:.2f} "
             "px halfway to the corner of the image. State window: {{cabin: log}} and "
             "log.channels.cabin_pressure: {barometer}, or window: null if the cameras are outside"
         ),
@@ -812,9 +812,9 @@ def station_height_in_feet(
     return warning(
         SURFACE_FEET,
         (
-            "the station is stated {stated_m:.0f} m above sea level, but the ground of the flight "
-            "is at {ground_m:.0f} m: {stated_m:.0f} ft are {converted_m:.0f} m, so the height is "
-            "likely in feet"
+            "the station is stated {stated_m:.0f} m above sea level, but the ground of the flight, "
+            "or its take-off, is at {ground_m:.0f} m: {stated_m:.0f} ft are {converted_m:.0f} m, "
+            "so the height is likely in feet"
         ),
         where=where,
         stated_m=stated_m,

@@ -58,8 +58,8 @@ class Identity:
     """The values that identify a run; values that an older version did not write are empty.
 
     ``mission_file`` is the path of the mission file, or of its campaign file, from the folder of
-    the results. It is empty too for a mission that was made in memory, for results at a URL, and
-    for an absolute ``output.path``.
+    the results. It is empty too for a mission that was made in memory, for results at a URL, for an
+    absolute ``output.path``, and if the file is on another drive.
     """
 
     manifest_version: int = 0
