@@ -98,8 +98,14 @@ def test_the_shift_is_that_of_the_flying_height_with_an_exposure_on_the_ground(f
     (without_it,) = windows_of_compartments(facts)
     height_m = facts.exposures.height_m.copy()
     height_m[0] = 450.0  # the take-off
-    exposures = replace(facts.exposures, height_m=height_m)
-    (finding,) = windows_of_compartments(replace(facts, exposures=exposures))
+    exposures = replace(
+        facts.exposures,
+        height_m=height_m,
+    )
+    with_it = replace(facts, exposures=exposures)
+
+    (finding,) = windows_of_compartments(with_it)
+
     assert finding.what == without_it.what
 
 
