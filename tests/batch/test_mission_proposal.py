@@ -216,6 +216,14 @@ def test_images_are_known_before_the_column_of_the_points_is(mission, proposed, 
     assert tree["events"] == usual["events"]
 
 
+def test_the_column_of_the_heights_is_not_taken_for_the_points(mission, proposed, tmp_path):
+    rows = mission.measured_rows().rename(columns={"point": "tie_label"})
+    path = tmp_path / "observations.csv"
+    rows[["image", "x_px", "y_px", "h_g_m", "tie_label"]].to_csv(path, index=False)
+    tree = yaml.safe_load(proposed(mission.log, path))
+    assert tree["ground"]["height"] == {"column": "h_g_m"}
+
+
 @pytest.mark.parametrize("point", ["tie point id", "Point-ID", "TIE_ID"])
 def test_blanks_hyphens_and_capitals_of_a_name_do_not_count(mission, proposed, table, point):
     tree = yaml.safe_load(proposed(mission.log, table(point=point)))
