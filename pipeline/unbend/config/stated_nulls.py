@@ -17,12 +17,22 @@ def cameras_of_unstated_window(mission: Mission) -> tuple[str, ...]:
 
 
 def cameras_of_stated_null(mission: Mission) -> tuple[str, ...]:
+    """The cameras for which the mission file states ``window: null``, and no opening."""
+    names = []
+    for name in _windows_of_null(mission):
+        camera = mission.cameras[name]
+        if camera.opening is None:
+            names.append(name)
+    return tuple(names)
+
+
+def _windows_of_null(mission: Mission) -> list[str]:
     """The cameras for which the mission file states ``window: null``."""
     names = []
     for name, camera in mission.cameras.items():
         if camera.window is None and "window" in camera.model_fields_set:
             names.append(name)
-    return tuple(names)
+    return names
 
 
 def stated_nulls(mission: Mission) -> tuple[str, ...]:
@@ -31,5 +41,6 @@ def stated_nulls(mission: Mission) -> tuple[str, ...]:
     if mission.log is not None:
         for role in sorted(mission.log.channels.unused_roles):
             keys.append(f"log.channels.{role}")
-    keys += [f"cameras.{name}.window" for name in cameras_of_stated_null(mission)]
+    for name in _windows_of_null(mission):
+        keys.append(f"cameras.{name}.window")
     return tuple(keys)
