@@ -148,30 +148,22 @@ def propose_differences(images: Collection[str], known: Collection[str]) -> str:
 def shift_of_names(images: Collection[str], known: Collection[str]) -> int:
     """By how many numbers the images of a series seem later than the exposures; 0 if they do not.
 
-    Negative if they seem earlier. A series has names that differ by their last number only. It
-    seems shifted if as many images at one end have no exposure as exposures at the other end have
-    no image, and all numbers between are common to both. Of several series the first counts.
+    Negative if they seem earlier. A series (`name_series`) seems shifted if as many images at one
+    end have no exposure as exposures at the other end have no image, and all numbers between are
+    common to both. Of several series the first counts.
 
     >>> shift_of_names(["I9", "I10", "I11"], ["I8", "I9", "I10"])
     1
     """
-    known_numbers = _numbers_of_series(known)
-    for series, numbers in _numbers_of_series(images).items():
-        shift = _shift_of_numbers(numbers, known_numbers.get(series, set()))
+    known_numbers = {
+        (series.before, series.after): set(series.numbers) for series in name_series(known)
+    }
+    for series in name_series(images):
+        exposures = known_numbers.get((series.before, series.after), set())
+        shift = _shift_of_numbers(set(series.numbers), exposures)
         if shift:
             return shift
     return 0
-
-
-def _numbers_of_series(names: Collection[str]) -> dict[tuple[str, str], set[int]]:
-    """The last numbers in names, by the texts before and after them."""
-    numbers: dict[tuple[str, str], set[int]] = {}
-    for name in names:
-        parts = re.fullmatch(r"(.*?)(\d+)(\D*)", name)
-        if parts is not None:
-            before, number, after = parts.groups()
-            numbers.setdefault((before, after), set()).add(int(number))
-    return numbers
 
 
 def _shift_of_numbers(images: set[int], exposures: set[int]) -> int:

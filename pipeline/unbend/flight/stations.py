@@ -332,9 +332,9 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
         return stations, tuple(notes)
     known = stations.image.tolist()
     proposal = propose_differences(unknown, known)
-    shift = shift_of_names(images, known)
-    if not proposal and shift:
-        proposal = messages.names_shifted(shift=shift)
+    if not proposal:
+        shift = shift_of_names(images, known)
+        proposal = messages.names_shifted(shift=shift) if shift else ""
     notes.append(
         messages.images_unmatched(
             images=unknown,
