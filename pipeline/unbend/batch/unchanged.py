@@ -33,6 +33,16 @@ from unbend.config.campaign_defaults import merged
 from unbend.tables.manifest.run import InputRecord
 from unbend.tables.manifest.whole import Manifest
 
+NOT_A_MISSION_FILE = (
+    OSError,
+    AttributeError,
+    KeyError,
+    TypeError,
+    ValueError,
+    yaml.YAMLError,
+)
+"""Errors of `text_of` and `name_and_output` with a file that is missing, or not a mission file."""
+
 
 @dataclass(frozen=True)
 class Unchanged:
@@ -95,8 +105,7 @@ def find_unchanged(ref: MissionRef) -> Unchanged | None:
     try:
         text = text_of(ref)
         name, output_path = name_and_output(ref, text)
-    # The errors of a text that is not a mission file. `load` refuses such a file later.
-    except (OSError, AttributeError, KeyError, TypeError, ValueError, yaml.YAMLError):
+    except NOT_A_MISSION_FILE:  # `load` refuses such a file later
         return None
     if is_url(output_path):
         return None

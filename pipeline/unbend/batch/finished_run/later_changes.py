@@ -3,13 +3,11 @@
 import os
 from pathlib import Path
 
-import yaml
-
 from unbend.batch.differences import changed_inputs, changed_keys
 from unbend.batch.finished_run import messages
 from unbend.batch.finished_run.read_back import mission_of
 from unbend.batch.runs import plan_of
-from unbend.batch.unchanged import name_and_output, text_of
+from unbend.batch.unchanged import NOT_A_MISSION_FILE, name_and_output, text_of
 from unbend.config.campaign import MissionRef, open_configs
 from unbend.errors import ConfigError, UnbendError
 from unbend.messages import Notes
@@ -55,6 +53,8 @@ def _changes(file: Path, folder: Path, manifest: Manifest) -> list[str]:
     if ref is None:
         return []
     plan = plan_of(ref)
+    if plan.fingerprint == run.fingerprint:
+        return []
     is_same_mission = plan.mission.mission.name == run.mission
     if not is_same_mission or os.path.realpath(str(plan.output)) != os.path.realpath(folder):
         return []
@@ -65,8 +65,7 @@ def _changes(file: Path, folder: Path, manifest: Manifest) -> list[str]:
         *changed_inputs(plan, run.inputs),
     ]
     # A stated null differs from an absent key, but has the same value.
-    is_other_run = plan.versions == run.versions and plan.fingerprint != run.fingerprint
-    if is_other_run and not changes:
+    if not changes and plan.versions == run.versions:
         changes.append("a key is stated as null now, or is no longer")
     return changes
 
@@ -82,8 +81,7 @@ def _ref_of(file: Path, mission: str) -> MissionRef | None:
     for ref in refs:
         try:
             name, _ = name_and_output(ref, text_of(ref))
-        # The errors of a text that is not a mission file: another mission of the campaign.
-        except (OSError, AttributeError, KeyError, TypeError, ValueError, yaml.YAMLError):
+        except NOT_A_MISSION_FILE:  # another mission of the campaign
             continue
         if name == mission:
             return ref
