@@ -17,6 +17,7 @@ ARCSEC = math.pi / 648_000.0  # [rad]
 DEGREE = math.pi / 180.0  # [rad]
 MICRORADIAN = 1e-6  # [rad]
 PPM = 1e-6  # parts per million
+METRES_OF_A_FOOT = 0.3048  # the international foot
 AngleUnit = Literal["deg", "rad", "grad"]
 RADIANS: Mapping[AngleUnit, float] = {"deg": DEGREE, "rad": 1.0, "grad": math.pi / 200.0}
 HECTOPASCAL = 100.0  # [Pa]

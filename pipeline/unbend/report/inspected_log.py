@@ -80,9 +80,9 @@ def take_off_of(flight: Mapping[str, Any]) -> str:
     """The height of the take-off, and how it was found."""
     if not flight:
         return "unknown"
-    if flight.get("take_off_m") is None and flight.get("lowest_m") is None:
-        return "unknown: the log has no heights at its positions"
     if flight.get("take_off_m") is None:
+        if flight.get("lowest_m") is None:
+            return "unknown: the log has no heights at its positions"
         return "unknown: the aircraft is not at rest when the log begins"
     surface = flight.get("take_off_reference", flight.get("height_reference"))
     return f"{flight['take_off_m']:.0f} m above {surface}, {source_of_take_off(flight)}"

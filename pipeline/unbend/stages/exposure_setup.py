@@ -248,7 +248,7 @@ def report_windows(windows: Mapping[str, Window], ledger: Ledger) -> None:
     for name, window in windows.items():
         where = f"cameras.{name}.{window.section}"
         cabin = window.cabin
-        if cabin is not None and cabin.source == "opening":
+        if cabin is not None and window.is_opening:
             ledger.add(
                 messages.opening_air(
                     where=where,

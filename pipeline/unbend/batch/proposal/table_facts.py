@@ -122,11 +122,11 @@ def facts_of_table(path: Path) -> TableFacts:
     keys = proposed_columns(guessed, names)
     open_quantities = [key.key for key in keys if key.value == TODO]
     unused = [name for name in names if name not in guessed.values()]
-    # The points are not used here, so any column can be read as theirs: the heights last.
-    candidates = height_candidates(names, guessed)
-    unused.sort(key=lambda name: name in candidates)
     if open_quantities == ["point"] and unused:
-        guessed["point"] = unused[0]
+        # The points are not used here, so any column can be read as theirs: the first that is not
+        # of heights, if there is one.
+        candidates = height_candidates(names, guessed)
+        guessed["point"] = min(unused, key=lambda name: name in candidates)
     elif open_quantities:
         remark = (
             f"its images are not known yet: {', '.join(open_quantities)}: no column has a usual "

@@ -23,10 +23,9 @@ from unbend.stages.opened_inputs import OpenedInputs
 from unbend.tables.geodata.object_points import ObjectPoints, matching_rows
 from unbend.tables.manifest.results import ControlPoint, ControlRecord
 from unbend.tables.observations import Batch, Observations
-from unbend.units import Array, Integers, Mask
+from unbend.units import METRES_OF_A_FOOT, Array, Integers, Mask
 
 BATCH_ROWS = 250_000
-METRES_OF_A_FOOT = 0.3048
 # Control is misread or wrong as a whole if its median distance from where its rays meet is larger
 # than each of these three.
 FAR_M = 1.0

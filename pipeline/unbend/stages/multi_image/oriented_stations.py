@@ -38,11 +38,10 @@ from unbend.tables.imports.exif import gimbal_of_rpy, rpy_of_gimbal
 from unbend.tables.imports.user_tables import OrientationTable
 from unbend.tables.observations import Observations
 from unbend.tables.tie_points import TiePoints, tie_rays
-from unbend.units import DEGREE, RADIANS, Array, Integers
+from unbend.units import DEGREE, METRES_OF_A_FOOT, RADIANS, Array, Integers
 
 FEW_WRONG = 0.1  # share of the stations: more below the ground, or too high, are one mistake
 HIGHEST_ABOVE_GROUND_M = 15_000.0  # no survey is flown higher, in the median
-METRES_OF_A_FOOT = 0.3048
 SECTION = "stations.orientation"
 HEIGHTS_TO_METRES = "the heights in the file to metres (times 0.3048)"  # no key states their unit
 

@@ -24,10 +24,10 @@ from unbend.stages.exposure_setup import orientations_of_mission
 from unbend.stages.multi_image import messages
 from unbend.tables.geodata.elevation import ElevationModel
 from unbend.tables.tie_points import TiePoints, tie_rays
-from unbend.units import Array, Mask, Names
+from unbend.units import METRES_OF_A_FOOT, Array, Mask, Names
 
 FEWEST_TIE_POINTS = 10
-TOO_MUCH_IN_FEET = 1.0 - 0.3048  # share of a number in feet, if it is taken for metres
+TOO_MUCH_IN_FEET = 1.0 - METRES_OF_A_FOOT  # share of a number in feet, if it is taken for metres
 # Residuals over their sigmas when all findings are corrected: beyond the first, the findings
 # explain only a part of the residuals; beyond the second, they do not explain them.
 PART_FACTOR = 1.5

@@ -11,6 +11,7 @@ from unbend.messages import Message
 from unbend.stages.plausibility import messages
 from unbend.stages.plausibility.causes import EARTH_RADIUS_M
 from unbend.stages.plausibility.facts import Facts
+from unbend.units import METRES_OF_A_FOOT
 
 TAKEOFF_NEAR_KM = 30.0  # farther away the take-off says nothing about the ground
 GROUND_ALLOWED_M = 300.0  # difference of the heights of ground and take-off, at the take-off
@@ -18,7 +19,6 @@ GROUND_ALLOWED_M_PER_KM = 20.0  # to be added for each kilometre from the take-o
 TERRAIN_ALLOWED_M = 50.0  # between the heights of ground and terrain at the same place
 SEES_STATION_RAD = 0.5  # rays within so much of the nadir see the ground near their station
 LIKELY_SHARE = 0.5  # of a difference: a likely mistake leaves no more unexplained
-METRES_OF_A_FOOT = 0.3048
 STATION_AT_GROUND_M = 100.0  # a weather station in feet, converted: difference from the ground
 STATION_OFF_GROUND_M = 300.0  # and the same height read in metres
 

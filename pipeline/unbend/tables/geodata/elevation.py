@@ -20,7 +20,7 @@ from unbend.tables.geodata.gdal import (
     opening_rasters,
 )
 from unbend.tables.geodata.raster_system import RasterSystem, raster_system
-from unbend.units import Array, Integers, Mask
+from unbend.units import METRES_OF_A_FOOT, Array, Integers, Mask
 
 _TILES_IN_MEMORY = 100  # of 1 MB
 _LOWEST_M = -600.0  # numbers down from here are holes that a file does not declare
@@ -32,9 +32,9 @@ _METRES_OF_UNIT = {
     "meter": 1.0,
     "metres": 1.0,
     "meters": 1.0,
-    "ft": 0.3048,
-    "foot": 0.3048,
-    "feet": 0.3048,
+    "ft": METRES_OF_A_FOOT,
+    "foot": METRES_OF_A_FOOT,
+    "feet": METRES_OF_A_FOOT,
     "us-ft": _US_SURVEY_FOOT_M,
     "us-survey-foot": _US_SURVEY_FOOT_M,
 }
