@@ -398,7 +398,7 @@ WOBBLE = EARTH + np.random.default_rng(2).normal(0.0, 3.0, EARTH.shape)
         (
             WOBBLE / SCALE,
             np.stack(geodetic_of_ecef(*WOBBLE.T), axis=1),
-            "nearly on one line: with a sigma of ",
+            "nearly on one line: with a sigma of 1 m",
         ),
     ],
     ids=["known positions of one line", "images on one line", "metres of wobble"],

@@ -41,6 +41,19 @@ def test_of_very_many_mistakes_the_first_are_listed(tmp_path, text):
     assert cpu_s < MOST_CPU_S
 
 
+def test_very_many_open_questions_in_the_place_of_a_text_are_one_mistake(tmp_path):
+    path = tmp_path / "mission.yaml"
+    path.write_text(f"mission: {{name: [{','.join(['TODO'] * 40_000)}]}}", "utf-8")
+
+    begin_s = time.process_time()
+    with pytest.raises(ConfigError) as caught:
+        load_mission(path)
+    cpu_s = time.process_time() - begin_s
+
+    assert str(caught.value).count("mission.name") == 1
+    assert cpu_s < MOST_CPU_S
+
+
 def test_as_many_mistakes_as_are_listed_are_all_listed(tmp_path):
     missing = 5  # sections that every mission has
     path = tmp_path / "mission.yaml"
