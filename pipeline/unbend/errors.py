@@ -25,6 +25,7 @@ class Counted(int):
     noun: str
 
     def __new__(cls, number: int, singular: str, plural: str = "") -> Self:
+        """``plural``: where it is not the singular with an s."""
         counted = super().__new__(cls, number)
         counted.noun = singular if number == 1 else plural or f"{singular}s"
         return counted

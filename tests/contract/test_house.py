@@ -1,6 +1,6 @@
 """The package stays readable: figures of each module only fall, and one word means one thing.
 
-`house.py` beside this file measures and explains; run it with ``-v`` for the places.
+`house.py` beside this file measures, explains and prints the places.
 """
 
 import ast
@@ -44,10 +44,8 @@ def test_what_is_beside_the_package_is_as_plain(folder):
     assert too_dense == {}
 
 
-def test_no_figure_of_a_module_grows(modules, capsys):
+def test_no_figure_of_a_module_grows(modules):
     """Improved figures are written down by `python tests/contract/house.py --write`."""
-    with capsys.disabled():
-        print(f"\n{house.totals(modules)}")
     worse = house.worse_than(house.read_ratchet(), house.beyond_limits(modules.values()))
     assert not worse, "\n".join(worse)
 
@@ -95,29 +93,17 @@ def test_the_same_choices_stand_in_one_order():
 BROKEN = {
     "parallel_assignment": "a, b = 1, 2",
     "long_unpacking": "a, b, c, d = f()",
-    "conditional_loop": "for a in (b if c else ()): f(a)",
-    "expression_statement": "f() if a else g()",
-    "condition_times": "a = 'text' * (b > c)",
-    "slice_by_condition": "a = b[c > d :]",
-    "implication_by_comparison": "a = (b > c) > (d == e)",
     "positional_arguments": "f(1, 2, 3, 4, 5, 6)",
     "alias": "import module as m",
-    "fmt_skip": "a = f(1,  2)  # fmt: skip",
     "empty_name": "def f(a):\n    found = a\n    return found",
     "local_names": "def f():\n" + "".join(f"    a{i} = {i}\n" for i in range(16)),
-    "complexity": "def f(a):\n    for b in a:\n"
-    + "        if b and a:\n            return b\n" * 6,
 }
 ALLOWED = {
     "an exchange": "a, b = b, a",
     "a known alias": "import numpy as np",
-    "a line of text": "a = '-' * width",
-    "a table of numbers": f"A = [{', '.join(map(str, range(12)))}]  # fmt: skip",
     "three values": "a, b, c = f()",
     "arguments by name": "f(1, 2, 3, 4, 5, a=6)",
     "a class under another name": "from module import Thing as OtherThing",
-    "a chain of cases": "def f(a):\n    if a == 1:\n        return 1\n"
-    + "".join(f"    elif a == {i}:\n        return {i}\n" for i in range(2, 15)),
 }
 
 
@@ -137,43 +123,8 @@ def test_what_reads_well_is_allowed(habit, tmp_path):
     assert rules_broken(ALLOWED[habit], tmp_path) == set()
 
 
-def test_rules_of_ruff_are_counted(tmp_path):
-    (tmp_path / "module.py").write_text("def undocumented(flag=True):\n    return flag\n")
-    rules = {place.rule for place in house.measure(tmp_path)["module.py"].places}
-    assert {"D103", "FBT002"} <= rules
-
-
 def test_tokens_are_those_of_code(tmp_path):
     path = tmp_path / "module.py"
     path.write_text('"""Words\nof a docstring."""\n\n# a comment\na = (\n    1\n)\n')
     module = house.measure_module(path, "module.py")
     assert (module.tokens, module.code_lines, module.lines) == (5, 3, 7)
-
-
-def test_the_ratchet_only_falls(tmp_path):
-    ratchet = tmp_path / "house.json"
-    path = tmp_path / "module.py"
-
-    def write(source):
-        path.write_text(source, "utf-8")
-        module = house.measure_module(path, "m.py")
-        return house.write_ratchet({"m.py": module}, {}, ratchet)
-
-    assert write("import a as b\nimport c as d\n") == []
-    assert house.read_ratchet(ratchet) == {"m.py": {"alias": 2}}
-    assert write("import a as b\nimport c as d\nimport e as f\n") == ["m.py: alias is 3, at most 2"]
-    assert house.read_ratchet(ratchet) == {"m.py": {"alias": 2}}
-    assert write("import a as b\n") == []
-    assert house.read_ratchet(ratchet) == {"m.py": {"alias": 1}}
-
-
-def test_a_module_that_moved_keeps_its_figures(tmp_path):
-    ratchet = tmp_path / "house.json"
-    path = tmp_path / "module.py"
-    path.write_text("import a as b\n", "utf-8")
-    before = {"old.py": house.measure_module(path, "old.py")}
-    moved = {"new.py": house.measure_module(path, "new.py")}
-    house.write_ratchet(before, {}, ratchet)
-    assert house.write_ratchet(moved, {}, ratchet) == ["new.py: alias is 1, at most 0"]
-    assert house.write_ratchet(moved, {"new.py": "old.py"}, ratchet) == []
-    assert house.read_ratchet(ratchet) == {"new.py": {"alias": 1}}

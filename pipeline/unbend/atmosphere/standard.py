@@ -142,7 +142,7 @@ def _msis(place: SeasonAndPlace, index: IndexModel) -> Profile:
     )
 
 
-_OF_SEASON = AtmosphereModel(_supplements, SUPPLEMENTS_ORIGIN, True, needs_place=True)
+_OF_SEASON = AtmosphereModel(_supplements, SUPPLEMENTS_ORIGIN, has_humidity=True, needs_place=True)
 
 ATMOSPHERES: dict[str, AtmosphereModel] = {
     AUTO: _OF_SEASON,
@@ -156,7 +156,10 @@ ATMOSPHERES: dict[str, AtmosphereModel] = {
         for name in climate_tables.climate_names()
     },
     MSIS: AtmosphereModel(
-        _msis, "NRLMSIS 2.1 (Emmert et al. 2022), temperature only", False, needs_place=True
+        _msis,
+        "NRLMSIS 2.1 (Emmert et al. 2022), temperature only",
+        has_humidity=False,
+        needs_place=True,
     ),
     **{
         name: AtmosphereModel(

@@ -96,7 +96,11 @@ class MissionLoader(yaml.SafeLoader):
             )
         super().fetch_flow_collection_start(kind)
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+    def construct_mapping(
+        self,
+        node: yaml.MappingNode,
+        deep: bool = False,  # noqa: FBT001, FBT002
+    ) -> dict[Any, Any]:
         """The mapping of a node; refuses keys that are not words, and repeated keys."""
         _refuse_decimal_comma(node)
         seen: set[str] = set()

@@ -52,7 +52,7 @@ _LIFT_ITERATIONS = 10
 _LIFT_MORE = 1.2  # factor of a lift with which no ray reaches the end of the chord
 
 
-def apply_refraction(
+def apply_refraction(  # noqa: PLR0913
     x_px: Array,
     y_px: Array,
     h_g: Array,

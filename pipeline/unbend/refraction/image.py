@@ -145,7 +145,7 @@ COLUMNS = tuple(f.name for f in fields(Corrections) if f.name not in ("status", 
 """The columns of numbers of `Corrections`, in its order."""
 
 
-def correct_observations(
+def correct_observations(  # noqa: PLR0913
     x_px: Array,
     y_px: Array,
     h_g: Array,

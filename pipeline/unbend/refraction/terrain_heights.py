@@ -138,7 +138,7 @@ class _BentPaths(NamedTuple):
     status_at_end: NDArray[np.uint8]  # (n,) of a ray that goes beyond the last knot
 
 
-def terrain_heights(
+def terrain_heights(  # noqa: PLR0913
     x_px: Array,
     y_px: Array,
     exposure: Integers,

@@ -79,7 +79,7 @@ def observation_metadata(mission: Mission) -> dict[str, str]:
     return metadata
 
 
-def results_of_mission(
+def results_of_mission(  # noqa: PLR0913
     mission: Mission,
     flight: FlightLog,
     stations: Stations,

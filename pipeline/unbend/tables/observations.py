@@ -305,7 +305,7 @@ class Observations:
         return column.cast(pa.string())
 
 
-def open_observations(
+def open_observations(  # noqa: PLR0913
     path: Path,
     columns: Mapping[str, str | None],
     ground_column: str | None,

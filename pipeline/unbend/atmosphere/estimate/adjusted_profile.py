@@ -95,7 +95,7 @@ class Adjustment:
         )
 
 
-def build_adjusted_profile(
+def build_adjusted_profile(  # noqa: PLR0913
     samples: AirSamples,
     standard: Profile,
     latitude_rad: float,

@@ -258,7 +258,7 @@ def _whole_flight_as_background(
         spread.humidity_correlation_m,
         level,
     )
-    return Climatology(profile, of_flight, "the whole flight", True)
+    return Climatology(profile, of_flight, "the whole flight", has_humidity=True)
 
 
 def _air_of_part(

@@ -104,7 +104,7 @@ def bertram1966_curved(
     return flat + times_tangent(term, h_c, h_g, zeta_c)
 
 
-def _moment(profile: Profile, origin: Array, rise: Array, curvature: bool = False) -> Array:
+def _moment(profile: Profile, origin: Array, rise: Array, *, curvature: bool = False) -> Array:
     """Sum of -x drho/dz dz over heights x above ``origin`` [m] from 0 to ``rise`` [m], in kg m-2.
 
     A trapezoid between the entries of `NODES_M`. The last, partial step ends at ``rise``, so that
