@@ -7,7 +7,7 @@ import tomllib
 import pytest
 import yaml
 
-from tests.contract.sources import PACKAGE, ROOT, is_string, nodes, strings, text_of, trees
+from tests.contract.sources import PACKAGE, ROOT, strings, text_of, trees
 
 PERSON = re.compile(
     r"\b(?:you|your|yours|yourself|we|our|ours|ourselves|us|my|mine|myself|me)\b(?!-)|\bI\b(?!-)",
@@ -33,36 +33,6 @@ def help_texts(tree: ast.Module):
 
 def persons_in(text):
     return PERSON.findall(NO_PERSON.sub("", text))
-
-
-PRIVATE = re.compile(
-    r"\b(?:told|doubtful|believ\w*|betray\w*|widened|heed\w*|feign\w*|honest\w*)\b", re.IGNORECASE
-)
-"""Words of this program for what has a name in the field: reported, sigma inflation factor, ..."""
-
-
-def test_texts_have_no_private_words():
-    wrong = []
-    for name, node in nodes():
-        if is_string(node) and " " in node.value:
-            wrong += [f"{name}:{node.lineno}: {word}" for word in PRIVATE.findall(node.value)]
-    changes = ("changelog.md", "changelog_details.md")
-    pages = [
-        ROOT / "README.md",
-        *(path for path in (ROOT / "docs").rglob("*.md") if path.name not in changes),
-        *PACKAGE.rglob("*.toml"),
-        *PACKAGE.rglob("*.j2"),
-    ]
-    for path in pages:
-        for number, line in enumerate(text_of(path).splitlines(), start=1):
-            wrong += [f"{path.name}:{number}: {word}" for word in PRIVATE.findall(line)]
-    assert not wrong, "\n".join(wrong)
-
-
-@pytest.mark.parametrize("text", ["is told of", "a widened sigma", "Honest thermometers"])
-def test_private_words_are_noticed(text):
-    assert PRIVATE.search(text)
-    assert not PRIVATE.search("the field that tells instances apart; sigma inflation factor")
 
 
 def test_texts_have_no_first_or_second_person():
@@ -110,11 +80,13 @@ HABITS = {
     "by itself": r"\bfound by (?:itself|themselves)\b",
     "Refused are": r"\b(?:Refused|Rejected|Reported|Taken) (?:is|are)\b",
     "whoever": r"\bwhoever\b",
+    "private": r"\b(?:doubtful|believ\w*|betray\w*|widened|heed\w*|feign\w*|honest\w*)\b",
 }
 """Habits of style that a reader with English as a second language stumbles over: name -> pattern.
 
 In their place: is not, is in, contains, gives (a file, a value), next to, a second sentence, is
-(at a place), correct, atmospheres, random, module, as usual, detected automatically.
+(at a place), correct, atmospheres, random, module, as usual, detected automatically. Private are
+words of this program for what has a name in the field, as the sigma inflation factor.
 """
 WHAT = re.compile(r"(?:^|(?<=[.;:!] ))What [^?.;]*[.;]")
 """A sentence with "What ..." as its subject, where the field has a noun; questions are none."""
@@ -306,6 +278,7 @@ SENTENCES_WITH_HABITS = yaml.safe_load(r"""
 - [The sidecar lies beside it., beside]
 - [the sensor of which nothing is known, of which]
 - [nine real airs, airs]
+- [Honest thermometers with a widened sigma, private]
 - ['* What is left stays in.', What as a subject]
 """)
 
