@@ -60,15 +60,6 @@ def test_each_version_of_the_changelog_is_a_dozen_lines():
         assert sum(bool(line.strip()) for line in lines) <= 16, title
 
 
-def test_the_licence_is_apache():
-    text = text_of(ROOT / "LICENSE")
-    assert "Apache License" in text
-    assert "Version 2.0, January 2004" in text
-    assert "APPENDIX: How to apply the Apache License to your work." in text
-    assert PROJECT["project"]["license"] == "Apache-2.0"
-    assert PROJECT["project"]["license-files"] == ["LICENSE"]
-
-
 def citation():
     return yaml.safe_load(text_of(ROOT / "CITATION.cff"))
 

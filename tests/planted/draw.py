@@ -30,7 +30,6 @@ PACKAGE = ROOT / "pipeline" / "unbend"
 TOP_LEVEL = {"library": "library"}  # modules outside rooms; all others belong to `base`
 NEAREST_FILES = 6  # test files that run before the others of the room
 TESTS_OF_MESSAGES = "tests/contract/test_message_values.py"  # of every messages.py
-LIKELY = 1.7  # score of a test file: more than a similar name in the same room
 
 
 def room_of(path: Path) -> str:
@@ -66,17 +65,11 @@ def files_of_tests() -> list[FileOfTests]:
     return files
 
 
-def likeness(name: str, other: str) -> float:
-    """Share of the words that two names of files have in common, 0 to 1."""
-    words = set(name.split("_"))
-    other_words = set(other.split("_"))
-    return len(words & other_words) / len(words | other_words)
-
-
 def nearest_tests(source: Source, line: int) -> tuple[str, ...]:
     """The module's own examples, then the test files that are likeliest to notice a bug in a line.
 
-    Likely are files that import the module, bear its name, or name its functions.
+    Likely are files that import the module, bear its name, name the function or another of the
+    module, or are of its room.
     """
     module = source.path
     *packages, stem = module.relative_to(PACKAGE.parent).with_suffix("").parts
@@ -84,29 +77,23 @@ def nearest_tests(source: Source, line: int) -> tuple[str, ...]:
     imported = re.compile(rf"\b{package}\.{stem}\b|from {package} import [^\n]*\b{stem}\b")
     folder = f"tests/{room_of(module)}/"
     function = function_of(source, line)
-    long_names = set()
+    telling_names = set()
     for node in source.tree.body:
         name = getattr(node, "name", "")  # of functions and classes
         if len(name) >= 8:
-            long_names.add(name)
-    scores = {}
+            telling_names.add(name)
+    closeness = {}
     for file in files_of_tests():
-        shared_names = file.words & long_names
-        score = likeness(stem, file.subject) + min(1.5, 0.5 * len(shared_names))
-        if imported.search(file.text):
-            score += 2.0
-        if file.subject == stem:
-            score += 2.0
-        if function in file.words:
-            score += 1.5
-        if stem == "messages" and file.name == TESTS_OF_MESSAGES:
-            score += 9.0
-        if file.name.startswith(folder):
-            score += 0.5
-        scores[file.name] = score
-    likeliest = sorted(scores, key=lambda name: -scores[name])
-    likely = [name for name in likeliest if scores[name] >= LIKELY]
-    nearest = likely or likeliest
+        signs = [
+            imported.search(file.text) is not None,
+            file.subject == stem,
+            function in file.words,
+            not telling_names.isdisjoint(file.words),
+            stem == "messages" and file.name == TESTS_OF_MESSAGES,
+            file.name.startswith(folder),
+        ]
+        closeness[file.name] = sum(signs)
+    nearest = sorted(closeness, key=lambda name: -closeness[name])
     own_examples = str(module.relative_to(ROOT))
     return (own_examples, *nearest[:NEAREST_FILES])
 
