@@ -518,6 +518,7 @@ def test_a_local_system_of_metashape_is_no_frame():
         (("<chunk ", '<chunk label="old"/><chunk '), "it has 2 chunks ('old', "),
         (('class="adjusted"', 'class="initial"'), "no adjusted calibration"),
         (("1 0 0 10 0", "1 0 ten 10 0"), "not as that program writes it"),
+        (("1 0 0 10 0", "1 0.5 0 10 0"), "'a.jpg' is not a rotation"),
         (("<cx>1</cx>", "<p3>0.1</p3>"), "p3 of a frame calibration"),
         (("a.jpg", "b.jpg"), "'b.jpg' occurs twice"),
     ],

@@ -209,7 +209,7 @@ def read_block_images(
     """The images of a block with their orientations.
 
     Quaternions are scaled to length 1. Refuses (InputError) an image that occurs twice, a block
-    without orientations, positions beyond any measurement, and quaternions of another length.
+    without orientations, positions beyond any measurement, and orientations that are not rotations.
     """
     with damage_refused(path, program):
         table = block_reader(program).read_images(path)

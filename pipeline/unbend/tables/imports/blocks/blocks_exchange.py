@@ -30,7 +30,6 @@ from scipy.spatial.transform import Rotation
 
 from unbend.block.known_places import KnownPlaces
 from unbend.flight.heights import GeodeticOrigin
-from unbend.flight.rotations import quaternions_of
 from unbend.tables.geodata.coordinate_systems import kind_of_system, lat_lon_of
 from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.blocks_exchange_cameras import (
@@ -42,6 +41,7 @@ from unbend.tables.imports.blocks.blocks_exchange_cameras import (
 from unbend.tables.imports.blocks.image_points import (
     CameraMakers,
     oriented_images,
+    quaternions_of_poses,
     rows_of_image,
     unused_camera_name,
 )
@@ -98,22 +98,12 @@ def read_images(path: Path) -> OrientationTable:
     system = _system_of_block(document)
     if system.is_geographic:
         position[:, :2] = np.radians(position[:, [1, 0]])
-    table = oriented_images(images, cameras, position, _quaternions(rotations))
+    table = oriented_images(images, cameras, position, quaternions_of_poses(rotations))
     return replace(
         table,
         frame=system.frame,
         crs=system.crs,
     )
-
-
-def _quaternions(rotations: list[Array]) -> Array:
-    """(n, 4) quaternions of matrices (3, 3), NaN for a matrix with NaN."""
-    matrices = np.array(rotations).reshape(-1, 3, 3)
-    is_known = np.isfinite(matrices).all(axis=(1, 2))
-    quaternion = np.full((len(matrices), 4), np.nan)
-    if is_known.any():
-        quaternion[is_known] = quaternions_of(matrices[is_known])
-    return quaternion
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:

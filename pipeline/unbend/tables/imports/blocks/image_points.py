@@ -18,11 +18,15 @@ import pyarrow.compute as pc
 from numpy.typing import ArrayLike
 
 from unbend.flight.heights import GeodeticOrigin
+from unbend.flight.rotations import matrices_of, quaternions_of
 from unbend.flight.stations import NO_TIME
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.user_tables import OrientationTable
-from unbend.units import Integers
+from unbend.units import Array, Integers
+
+_LARGEST_DEVIATION = 1e-3
+"""Of an element of a rotation matrix, which is written with a few digits."""
 
 CameraMakers = dict[str, Callable[[], Camera]]
 """Camera name -> function that makes the camera, or refuses its calibration."""
@@ -114,6 +118,19 @@ def oriented_images(
         sigmas={},
         frame=frame,
     )
+
+
+def quaternions_of_poses(matrix: ArrayLike) -> Array:
+    """(n, 4) quaternions w, x, y, z of matrices (n, 3, 3) that a file gives for rotations.
+
+    Zeros for a matrix that is not a rotation, so that `read_block_images` refuses it: the nearest
+    rotation would be taken otherwise. NaN for a matrix with NaN.
+    """
+    matrices = np.asarray(matrix, np.float64).reshape(-1, 3, 3)
+    quaternion = quaternions_of(matrices)
+    deviation = np.abs(matrices_of(quaternion) - matrices).max(axis=(1, 2))
+    quaternion[deviation > _LARGEST_DEVIATION] = 0.0
+    return quaternion
 
 
 def rows_with_point(rows: pa.RecordBatch, image: str, point: str) -> Integers:

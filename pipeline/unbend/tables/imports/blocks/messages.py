@@ -144,7 +144,7 @@ def image_repeated(*, where: Path | str, image: str) -> InputError:
 
 
 def no_rotation(*, where: Path | str, image: str) -> InputError:
-    """The quaternion of an image is not of length 1."""
+    """The quaternion of an image is not of length 1, or its matrix is not a rotation."""
     return _refused_import(where, "the orientation of {image!r} is not a rotation", image=image)
 
 

@@ -22,7 +22,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pyarrow as pa
-from scipy.spatial.transform import Rotation
 
 from unbend.block.known_places import KnownPlaces
 from unbend.refraction.calibration import camera_of_model
@@ -34,6 +33,7 @@ from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import (
     CameraMakers,
     oriented_images,
+    quaternions_of_poses,
     rows_of_image,
     unused_camera_name,
 )
@@ -375,9 +375,9 @@ def _exterior_orientation(pose: Array, transform: _ChunkTransform) -> tuple[Arra
     coordinates to the camera.
     """
     rotation = transform.rotation
-    camera_rotation = Rotation.from_matrix((rotation @ pose[:3, :3]).T)
+    (quaternion,) = quaternions_of_poses((rotation @ pose[:3, :3]).T)
     position = transform.scale * rotation @ pose[:3, 3] + transform.translation
-    return position, camera_rotation.as_quat()[[3, 0, 1, 2]]
+    return position, quaternion
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,14 @@ import numpy as np
 import pyarrow as pa
 
 from unbend.block.known_places import KnownPlaces
-from unbend.flight.rotations import matrices_of, quaternion_of_opk, quaternions_of
+from unbend.flight.rotations import matrices_of, quaternion_of_opk
 from unbend.refraction.calibration import camera_of_model
 from unbend.tables.imports.blocks import messages
 from unbend.tables.imports.blocks.image_points import (
     CameraMakers,
     TextFile,
     oriented_images,
+    quaternions_of_poses,
     rows_of_image,
 )
 from unbend.tables.imports.stated import read_text
@@ -122,7 +123,7 @@ def read_images(path: Path) -> OrientationTable:
     cameras = [str(interiors.index(image.interior) + 1) for image in images]
     names = [image.name for image in images]
     centres = np.array([image.centre for image in images]) + _offset(path, images, external, crs)
-    quaternion = quaternions_of(np.array([image.rotation for image in images]))
+    quaternion = quaternions_of_poses([image.rotation for image in images])
     table = oriented_images(names, cameras, centres, quaternion)
     _refuse_contradiction(path, table, external)
     return replace(table, crs=crs)
