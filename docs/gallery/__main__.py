@@ -18,9 +18,9 @@ TEXTS = Path(__file__).with_name("texts.toml")
 HEAD = """\
 # Gallery
 
-Scripts make these pictures, and each picture is followed by its numbers. The scripts are in
-`docs/gallery`. `python -m docs.gallery` runs them and writes this page. Tests compute the numbers
-again, and a part of the numbers that take long.
+The scripts in `docs/gallery` make these pictures, and the table below each of them.
+`python -m docs.gallery` runs them and writes this page (after `make sample`, with the requirements
+of the tests). Tests compute the numbers again; of those that take long, a part.
 """
 
 
