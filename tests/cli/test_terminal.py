@@ -90,7 +90,7 @@ def test_json_is_all_that_is_written_and_quiet_writes_nothing(
     monkeypatch.chdir(tmp_path)
     files = {"mission": baseline.file, "run": baseline.output, "log": flown.logs["bin"]}
     words = command.format(**files).split()
-    ended = unbend(*words, "--json")
+    ended = unbend(*words, "--json", "--quiet")
     content = json.loads(ended.out)
     if isinstance(content, list):
         content = content[0]

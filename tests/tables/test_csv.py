@@ -437,11 +437,12 @@ def test_observations_as_spreadsheets_write_them(form):
     assert str(columns) == str(plain)
 
 
-def test_observations_parted_by_blanks():
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_observations_parted_by_blanks(encoding):
     rows = [f'"A {k}.jpg"  p{k}   {k}.5 -2.25 \t 300.125   {k}  \n' for k in range(28_000)]
     text = "  image   point x_px\ty_px  h_g_m own\n" + "".join(rows)
 
-    columns = read(text)
+    columns = read(text.encode(encoding))
 
     assert columns["image"] == [f"A {k}.jpg" for k in range(28_000)]
     assert columns["x_px"] == [k + 0.5 for k in range(28_000)]

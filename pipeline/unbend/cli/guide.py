@@ -33,7 +33,7 @@ def schema(
             out.write_text(text + "\n", encoding="utf-8")
         answer.print_paths([str(out)])
         answer.print_json({"written": [str(out)]})
-    elif not answer.quiet:
+    elif answer.as_json or not answer.quiet:
         print(text)
 
 
@@ -132,7 +132,7 @@ def init(
 
 @command(epilog="Example: unbend warm --json")
 def warm(answer: Answer) -> None:
-    """Compile the code that runs need: about ten seconds, once.
+    """Compile the code that runs need, once: ten seconds or longer.
 
     For container images and for many machines. The code is stored in the folder
     NUMBA_CACHE_DIR, or in the user's cache. It is valid for this version of the program and

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -65,10 +66,15 @@ def text_file(path: Path) -> TextTable:
 
 
 class _TabSeparatedFile(io.RawIOBase):
-    """A file with fields separated by blanks, read with one tab in the place of the blanks."""
+    """A file with fields separated by blanks, read as UTF-8 with one tab in place of the blanks.
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("rb")
+    ``encoding``: ``utf-16``, or any name of UTF-8.
+    """
+
+    def __init__(self, path: Path, encoding: str) -> None:
+        self._file: IO[bytes] | codecs.StreamRecoder = path.open("rb")
+        if encoding == "utf-16":
+            self._file = codecs.EncodedFile(self._file, "utf-8", encoding)
         self._unread = b""  # converted lines that no buffer has taken yet
 
     def readable(self) -> bool:
@@ -285,9 +291,10 @@ def open_csv(
     read = pa_csv.ReadOptions(block_size=_BLOCK_BYTES, skip_rows=form.lines_before)
     if not form.head_is_row:
         read.column_names = list(form.names)
-    if file.encoding == "utf-16":
+    has_blanks = form.separator == BLANKS
+    if file.encoding == "utf-16" and not has_blanks:
         read.encoding = "utf-16"
-    separator = "\t" if form.separator == BLANKS else form.separator
+    separator = "\t" if has_blanks else form.separator
     parse = pa_csv.ParseOptions(newlines_in_values=True, delimiter=separator)
     convert = pa_csv.ConvertOptions(
         column_types=types,
@@ -297,5 +304,5 @@ def open_csv(
         strings_can_be_null=True,
         quoted_strings_can_be_null=False,
     )
-    source = _TabSeparatedFile(path) if form.separator == BLANKS else path
+    source = _TabSeparatedFile(path, file.encoding) if has_blanks else path
     return pa_csv.open_csv(source, read, parse, convert)
