@@ -66,37 +66,39 @@ Written by `python -m docs.when`. Do not edit this page.
 The table compares simulated blocks with known truth:
 
 * 6 km above ground, f = 20,000 px, 60 and 30 % overlap, 300 random points
-  0 to 300 m high. Only points in two or more images are used: about 150 in the nadir block, 295
-  with five heads;
-* 20 nadir images, or five heads (nadir and four at 45°) that see the points from all sides;
+  0 to 300 m high. Only points in two or more images are used: about 150 in the nadir block, about
+  295 with five heads;
+* 20 nadir images, or some 130 of five heads (nadir and four at 45°) that see the points from all
+  sides;
 * rays from an ODE through nine atmospheres from real soundings;
 * adjusted with pycolmap;
-* no error except refraction: no noise, true positions.
+* no error except refraction in the uncorrected images: no noise, true positions.
 
 The adjustments differ:
 
 * *Fixed*: only points are adjusted.
 * *GNSS*: positions are priors of 3 and 5 cm against 0.3 px, attitudes are free.
-* *Control*: nine points are fixed at their true places.
+* *Control*: nine points are fixed at their true places, orientations are free.
 * *Self-calibration*: f, k1, k2 of each camera are unknown.
 
 Errors are root mean squares of the heights of all points except the control points. *Corrected*
-uses the air that `unbend` determines from the flight's own sensors. These are biased, lag and
-drift.
+uses the air that `unbend` determines from the flight's own sensors and a climatology. The sensors
+are biased, lag and drift.
 """
 OTHER_BLOCKS = """
 Another layout of a block gives other numbers, and real adjustments have other errors too. At 120 m
 above ground, refraction is 0.3 arcsec at a nadir angle of 45°: in the middle of an oblique image
 0.006 px with f = 4,000 px, and 0.03 px with f = 20,000 px.
 
-The simulated lens is not affected by the air in it. A real lens is: Meier computed for one of 153
-mm, calibrated in a laboratory, that its principal distance is wrong at 6 km by 130 ppm behind a
-pressurised window and by up to 310 ppm in the outside air. That is 0.8 to 1.9 m of height if
-nothing absorbs it, more than refraction does to a nadir block in this table. Other lenses differ,
-and a sealed lens may have none.
+The simulated lens is not affected by the air in it. A lens with outside air in it is: Meier
+computed for one of 153 mm, calibrated in a laboratory, that its principal distance is wrong at 6
+km by 130 ppm behind a pressurised window and by up to 310 ppm in the outside air. That is 0.8 to
+1.9 m of height if nothing absorbs it, more than refraction does to a nadir block in this table.
+Other lenses differ, and a sealed lens may have none.
 
-`unbend` removes it if the mission file states [the air of the calibration](pages/guide/lens.md).
-Self-calibration and control absorb it too.
+`unbend` removes most of it if the mission file states [the air of the
+calibration](pages/guide/lens.md). Self-calibration absorbs it too; in a nadir block so does control
+without GNSS, mostly.
 """
 TWICE = """
 In the last two rows the calibration was estimated from uncorrected images (control, GNSS), so it
