@@ -8,6 +8,7 @@ measured in one image only are left out.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -51,7 +52,7 @@ def plain_coefficients(camera: Camera, name: str, program: str) -> dict[str, flo
 
 def write_blocks_exchange(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """Write the block as one file; returns the number of image points in it."""
-    block = block_of(run, ledger)
+    block = block_of(run, ledger, has_ellipsoidal_heights=True)
     single = int(np.sum(block.images_of_point[block.point] < 2))
     written = int(block.point.size) - single
     add_counts_written(block, ledger, image_points=written, points=len(block.point_m))
@@ -158,9 +159,16 @@ def coordinates(position_m: Array, origin_height_m: float) -> str:
 
 
 def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
-    """The frame of the file: east, north, up at the origin, matrices, pixels from their centres."""
+    """The frame of the file: east, north, up, matrices, and pixels from their centres.
+
+    Its origin is on the ellipsoid below that of the block, as the file gives heights above it.
+    """
+    positions = block_positions(run.stations)
+    if positions.origin is not None:
+        on_ellipsoid = replace(positions.origin, h_ellipsoid_m=0.0)
+        positions = replace(positions, origin=on_ellipsoid)
     return ExportFrame(
-        positions=block_positions(run.stations),
+        positions=positions,
         angles=angles_of_block("rotation_matrix", COMPUTER_VISION_AXES),
         pixels=CENTRE_PIXELS,
     )

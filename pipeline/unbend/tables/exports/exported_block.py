@@ -155,14 +155,16 @@ def block_of(
     ledger: Ledger,
     *,
     intersect: bool = True,
+    has_ellipsoidal_heights: bool = False,
 ) -> ExportedBlock:
     """The block of a run, in one pass over its parts; in memory some 70 bytes an observation.
 
-    ``intersect`` : compute object points; False for formats without them. Left out as losses
-    (EXPORT-LEFT-OUT) are images without a usable station with their observations, observations of
-    another status than ok, and repeated observations of a point in an image. Refuses (MissionError)
-    a run without a placed station (EXPORT-NO-STATIONS), and stations of a camera that the run does
-    not define (EXPORT-CAMERA).
+    ``intersect`` : compute object points; False for formats without them.
+    ``has_ellipsoidal_heights`` : the file gives z above the ellipsoid, not above the origin, and
+    the ledger says so (EXPORT-FRAME). Left out as losses (EXPORT-LEFT-OUT) are images without a
+    usable station with their observations, observations of another status than ok, and repeated
+    observations of a point in an image. Refuses (MissionError) a run without a placed station
+    (EXPORT-NO-STATIONS), and stations of a camera that the run does not define (EXPORT-CAMERA).
     """
     rows = _stations_of_block(run, ledger)
     stations = run.stations
@@ -190,8 +192,10 @@ def block_of(
     )
     if intersect:
         _fill_object_points(block, stations.rows(rows), points.h_g_m, ledger)
-    lat, lon, h = frame.origin_deg.tolist()
-    ledger.add(messages.block_frame(where="stations.parquet", lat=lat, lon=lon, h=h))
+    lat, lon, height_of_origin = frame.origin_deg.tolist()
+    if has_ellipsoidal_heights:
+        height_of_origin = 0.0
+    ledger.add(messages.block_frame(where="stations.parquet", lat=lat, lon=lon, h=height_of_origin))
     return block
 
 
@@ -350,10 +354,11 @@ def intersected(
 ) -> tuple[Array, Mask]:
     """(t, 3) positions of the object points, and (t,) whether their rays intersect.
 
-    Rays intersect if two of them are 3 degrees or more apart: the position is then that of the
-    least squares of the angles across the rays. Else it is the mean of where they reach the ground.
-    ``up`` (n, 3) is the vertical of each image in the block's frame, ``h_c`` (n,) the height of its
-    camera, ``h_g`` (r,) that of the ground at the image points, both above sea level [m].
+    Two rays intersect if they are 3 degrees or more apart, and more rays if their directions vary
+    as much: the position is then that of the least squares of the angles across the rays. Else it
+    is the mean of where they reach the ground. ``up`` (n, 3) is the vertical of each image in the
+    block's frame, ``h_c`` (n,) the height of its camera, ``h_g`` (r,) that of the ground at the
+    image points, both above sea level [m].
     """
     sums = _RaySums.of_points(len(block.point_m))
     for i, camera, image_points in block.images():
@@ -434,10 +439,10 @@ def _image_rays(block: ExportedBlock, camera: Camera, image_points: slice) -> Ar
 
 
 def _least_squares(normal: Array, right: Array) -> tuple[Array, Mask]:
-    """(t, 3) solutions of normal equations, and (t,) whether two rays are 3 degrees apart.
+    """(t, 3) solutions of normal equations, and (t,) whether their rays are far enough apart.
 
-    The solution means nothing where they are not: there ``normal`` (t, 3, 3) is overwritten by unit
-    matrices, because it may be singular.
+    Two rays are from 3 degrees on. The solution means nothing where they are not: there ``normal``
+    (t, 3, 3) is overwritten by unit matrices, because it may be singular.
     """
     # Two rays at an angle a have (1 - cos a) / 4 of the trace as the least eigenvalue.
     part_of_trace = 0.25 * (1.0 - np.cos(MINIMUM_ANGLE_RAD))

@@ -595,7 +595,7 @@ def pixel_size_unknown(*, where: Path | str, name: str) -> ConfigError:
 
 EXPORT_POINT_HEIGHT = Code(
     "EXPORT-POINT-HEIGHT",
-    means="The rays of points do not intersect at 3 degrees or more.",
+    means="The rays of points do not intersect, or at too small an angle (3 degrees for two rays).",
     effect="These points are where their rays reach the ground height of the run.",
     remedy="Nothing. The adjustment moves them.",
 )
@@ -606,12 +606,13 @@ def points_on_ground(*, where: str, count: int) -> Message:
     return fallback(
         EXPORT_POINT_HEIGHT,
         (
-            "the rays of {count} points do not intersect at 3 degrees or more: these points are "
-            "where the rays reach the ground height that the run used for them"
+            "the rays of {count} points do not intersect, or at too small an angle (3 degrees for "
+            "two rays): these points are where the rays reach the ground height that the run used "
+            "for them"
         ),
         one=(
-            "the rays of 1 point do not intersect at 3 degrees or more: the point is where they "
-            "reach the ground height that the run used for it"
+            "the rays of 1 point do not intersect, or at too small an angle (3 degrees for two "
+            "rays): the point is where they reach the ground height that the run used for it"
         ),
         where=where,
         count=count,
