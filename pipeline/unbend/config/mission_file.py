@@ -162,7 +162,7 @@ class Mission(Section):
         None,
         description=(
             "a path, or {path, columns, crs, reference}: control points; the report compares them "
-            "before and after the correction; they change no result"
+            "before and after the correction; they change no corrected point"
         ),
         examples=["control.csv"],
     )

@@ -926,7 +926,7 @@ EVENTS_TRIGGER_TIME = Code(
         "they may be, if the log does not show it."
     ),
     effect=(
-        "Without delay_s, the exposures are too early: 70 to 160 ms were measured. That is metres "
+        "Without delay_s, the exposures are too early: 70 to 530 ms were measured. That is metres "
         "along the track."
     ),
     remedy="Measure the delay and state events.log.<camera>.delay_s.",
@@ -937,7 +937,7 @@ def trigger_times(*, channel: str, events: int) -> Message:
     """The events of a camera are the commands of its trigger."""
     return note(
         EVENTS_TRIGGER_TIME,
-        "{where} has the times of the trigger commands: the shutter opens later (70 to 160 ms were "
+        "{where} has the times of the trigger commands: the shutter opens later (70 to 530 ms were "
         "measured), which events.log.<camera>.delay_s takes into account",
         where=channel,
         count=events,

@@ -132,10 +132,9 @@ def build_adjusted_profile(  # noqa: PLR0913
     with its own sigma, and the reason.
 
     On nine real soundings (tests/atmosphere/test_estimate_montecarlo.py) the RMS error of R at
-    1 / 3 / 6 / 10 km, where US 1976 errs by 20 / 13 / 7 / 7 %: clean sensors in climb and descent
-    0.5 / 0.1 / 0.03 / 0.03 %; sensors with bias, lag, transient, drifts and outliers
-    0.9 / 0.4 / 0.3 % at 1 / 3 / 6 km, in a climb alone 2.6 / 0.5 / 0.3 %; barometer and GNSS alone
-    1.4 / 0.6 % at 3 / 6 km.
+    1 / 3 / 6 km, where US 1976 errs by 20 / 13 / 7 %: clean sensors in climb and descent
+    0.6 / 0.1 / 0.04 %; sensors with bias, lag, transient, drifts and outliers 1.8 / 0.3 / 0.2 %, in
+    a climb alone 3.2 / 0.5 / 0.2 %; barometer and GNSS alone 1.3 / 0.8 % at 3 / 6 km.
     """
     standard = under_gravity(standard, latitude_rad)
     middle_ns = _middle_of_samples(samples) if utc_known else None

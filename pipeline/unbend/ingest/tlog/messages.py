@@ -357,12 +357,12 @@ def times_of_triggers(*, channel: str, count: int) -> Message:
         EVENTS_TRIGGER_TIME,
         (
             "{count} exposures have Unix time, as autopilots send it without a feedback pin: it is "
-            "the time of the trigger command, and the shutter opens later (70 to 160 ms were "
+            "the time of the trigger command, and the shutter opens later (70 to 530 ms were "
             "measured); state this delay as events.log.<camera>.delay_s"
         ),
         one=(
             "1 exposure has Unix time, as autopilots send it without a feedback pin: it is the "
-            "time of the trigger command, and the shutter opens later (70 to 160 ms were "
+            "time of the trigger command, and the shutter opens later (70 to 530 ms were "
             "measured); state this delay as events.log.<camera>.delay_s"
         ),
         where=channel,
