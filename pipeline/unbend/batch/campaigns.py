@@ -210,19 +210,23 @@ def refuse_foreign_page(output: Path) -> None:
 
 
 def is_page_ours(output: Path, present: Sequence[str]) -> bool:
-    """Whether unbend wrote the page of a campaign, or its table if there is no page.
+    """Whether unbend wrote the page and the table of a campaign that are there.
 
-    ``present`` are the names of the two files that are in the folder ``output``, at least one.
+    ``present`` are the names of those of the two files that are in the folder ``output``.
     """
-    if PAGE in present:
-        return MARK in head_of(output / PAGE)
-    # Only the table is there: the page was removed, or a run ended after it wrote the table.
+    if PAGE in present and MARK not in head_of(output / PAGE):
+        return False
+    return TABLE not in present or is_table_ours(output / TABLE)
+
+
+def is_table_ours(table: Path) -> bool:
+    """Whether unbend wrote the table of a campaign; False if it cannot be read."""
     from pyarrow.parquet import read_schema
 
-    if not (output / TABLE).is_file():  # reading a pipe might never end
+    if not table.is_file():  # reading a pipe might never end
         return False
     try:
-        return b"unbend.campaign" in (read_schema(output / TABLE).metadata or {})
+        return b"unbend.campaign" in (read_schema(table).metadata or {})
     except (OSError, ValueError):  # ValueError: no Parquet
         return False
 

@@ -379,9 +379,10 @@ def test_a_page_of_somebody_else_stays(season, unbend, refusal_of):
     assert unbend("status", season.file).code == 0  # it writes no page
 
 
-@pytest.mark.parametrize("content", [b"my own table", b""])
-def test_a_table_of_somebody_else_stays(done, refusal_of, content):
-    done.page.unlink()
+@pytest.mark.parametrize(("content", "has_page"), [(b"my own table", True), (b"", False)])
+def test_a_table_of_somebody_else_stays(done, refusal_of, content, has_page):
+    if not has_page:
+        done.page.unlink()
     done.table.write_bytes(content)
     refusal_of("STORAGE-NOT-OURS", 5, "run", done.file)
     assert done.table.read_bytes() == content
