@@ -12,7 +12,7 @@ PROCESSORS = "/proc/cpuinfo"
 
 
 def use_same_arithmetic() -> None:
-    """Let this process, and those that it starts, give the same bytes as on other machines.
+    """Let this process, and those that it starts, give the same bytes on all processors with AVX2.
 
     Takes effect if numpy is not imported yet. Processors with AVX-512 compute with AVX2, on Linux
     and with numpy 2.4 or newer; what the user has set for them stays. One thread of OpenBLAS is

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pyarrow as pa
 import pytest
@@ -421,3 +422,13 @@ def test_a_reader_who_goes_away_is_no_bug(flown):
     assert "Traceback" not in err
     assert "Exception ignored" not in err
     assert "bug" not in err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_behind_standard_output_is_no_bug():
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "unbend", "-h"], stdout=full, stderr=-1, text=True
+        )
+    assert done.returncode == 5
+    assert done.stderr.startswith("STORAGE-WRITE: ")

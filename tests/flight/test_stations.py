@@ -85,7 +85,8 @@ def test_a_leak_that_the_flight_has_found_rejects_no_height():
 
 
 def test_images_without_an_exposure_are_appended_in_order_and_unused_exposures_are_noted():
-    joined, notes = append_unmatched_images(stations(), ("image_1", "zzz", "aaa"))
+    images = ("image_1", "zzz", "aaa")
+    joined, notes = append_unmatched_images(stations(), images, where="events")
     assert joined.image.tolist() == ["image_0", "image_1", "image_2", "aaa", "zzz"]
     assert joined.status.tolist() == ["ok"] * 3 + ["unmatched"] * 2
     assert counted(notes) == [
@@ -96,7 +97,8 @@ def test_images_without_an_exposure_are_appended_in_order_and_unused_exposures_a
 
 
 def test_names_that_are_one_later_than_the_exposures():
-    _, notes = append_unmatched_images(stations(), ("image_1", "image_2", "image_3"))
+    images = ("image_1", "image_2", "image_3")
+    _, notes = append_unmatched_images(stations(), images, where="events")
     assert "the numbers of the images look shifted by +1" in notes[1].what
 
 

@@ -1,5 +1,6 @@
 """Run a command line; errors become exit codes."""
 
+import errno
 import os
 import signal
 import sys
@@ -9,7 +10,7 @@ from io import StringIO, TextIOWrapper
 import typer
 
 from unbend.arithmetic import use_same_arithmetic
-from unbend.cli import guide, missions, physics, results
+from unbend.cli import guide, messages, missions, physics, results
 from unbend.cli.app import app, print_bug, print_error
 from unbend.errors import UnbendError
 from unbend.exit_codes import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED
@@ -29,6 +30,8 @@ _COMMANDS = (guide, missions, physics, results)
 # newer versions of typer.
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)  # the second: a user's share of it
+
 
 def _install_signal_handlers() -> None:
     """Let Ctrl-C end the process with exit code 130, and SIGTERM with 143.
@@ -40,6 +43,11 @@ def _install_signal_handlers() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: end_process(EXIT_INTERRUPTED))
     signal.signal(signal.SIGTERM, lambda *_: end_process(EXIT_TERMINATED))
+
+
+def _discard_further_output() -> None:
+    """Send standard output nowhere: Python flushes the rest at exit, which must not fail again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def run_command(arguments: list[str]) -> int:
@@ -69,8 +77,8 @@ def invoke_command(arguments: list[str]) -> int:
     return EXIT_DONE
 
 
-def main() -> None:
-    """Run the command of this process, and end the process with its exit code."""
+def _prepare_process() -> None:
+    """Set what counts for the whole process: arithmetic, streams, hooks and signals."""
     use_same_arithmetic()
     # Without it numba resets the colours of a terminal at exit, also if it has none.
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
@@ -82,6 +90,11 @@ def main() -> None:
     sys.excepthook = lambda *error: print_bug("".join(traceback.format_exception(*error)))
     sys.unraisablehook = send_again_if_ignored
     _install_signal_handlers()
+
+
+def main() -> None:
+    """Run the command of this process, and end the process with its exit code."""
+    _prepare_process()
     code = EXIT_DONE
     try:
         code = run_command(sys.argv[1:])
@@ -98,10 +111,16 @@ def main() -> None:
         error.show(file=text)  # type: ignore[attr-defined]
         print(visible(text.getvalue(), keep="\n"), end="", file=sys.stderr)
         code = EXIT_CONFIG
-    except BrokenPipeError:
-        # The reader closed the pipe. Python flushes the rest at exit, which must not fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader closed the pipe
+        _discard_further_output()
         sys.exit(EXIT_INTERRUPTED)
+    except OSError as error:
+        if error.errno not in _DISK_FULL:
+            raise
+        _discard_further_output()
+        refusal = messages.output_not_written(answer=error.strerror or str(error))
+        print_error(refusal)
+        sys.exit(refusal.exit_code)
     finally:
         ignore_further_signals()
         for number in SIGNALS:  # Python's shutdown replaces a handler by the default action

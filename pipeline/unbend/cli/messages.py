@@ -1,6 +1,6 @@
 """Refusals of command lines: codes and their words."""
 
-from unbend.errors import Code, ConfigError, StorageError
+from unbend.errors import STORAGE_WRITE, Code, ConfigError, StorageError
 
 COMMAND_ORDER = Code(
     "COMMAND-ORDER",
@@ -134,8 +134,19 @@ def file_exists(*, path: str) -> ConfigError:
 def no_place_for_compiled_code(*, path: str) -> StorageError:
     """Nothing can be compiled ahead, because no folder keeps it."""
     return StorageError(
-        "STORAGE-WRITE",
+        STORAGE_WRITE,
         "compiled code cannot be stored there",
         where=path,
         remedy="correct its permissions, or name another folder in NUMBA_CACHE_DIR",
+    )
+
+
+def output_not_written(*, answer: str) -> StorageError:
+    """Standard output leads to a file on a disk that is full; ``answer`` is of the system."""
+    return StorageError(
+        STORAGE_WRITE,
+        "{answer}",
+        where="standard output",
+        remedy="free space, and run the command again",
+        answer=answer,
     )

@@ -1075,9 +1075,9 @@ IMAGES_UNMATCHED = Code(
 
 
 def images_unmatched(
-    *, images: Sequence[str], unused: Sequence[str], like: str | None, proposal: str
+    *, where: str, images: Sequence[str], unused: Sequence[str], like: str | None, proposal: str
 ) -> Message:
-    """Images of the observations without an exposure.
+    """Images of the observations without an exposure; ``where`` is what names the exposures.
 
     ``unused`` : exposures without observations. ``like`` : an exposure with a similar name.
     ``proposal`` : of `propose_differences` or `names_shifted`, "" without one.
@@ -1093,7 +1093,7 @@ def images_unmatched(
         IMAGES_UNMATCHED,
         "{count} images have observations but no exposure: {listed}{hint}",
         one="1 image has observations but no exposure: {listed}{hint}",
-        where="events",
+        where=where,
         count=len(images),
         listed=first_names(names_in_bytes(images), 3),
         hint=hint,

@@ -315,10 +315,13 @@ def _utc(time_ns: Integers) -> NDArray[np.datetime64]:
     return time
 
 
-def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tuple[Stations, Notes]:
+def append_unmatched_images(
+    stations: Stations, images: tuple[str, ...], *, where: str
+) -> tuple[Stations, Notes]:
     """Append a station of status UNMATCHED for each observed image that has no exposure.
 
-    ``images``: all images with observations. Images without an exposure are reported, and exposures
+    ``images``: all images with observations. ``where``: the key of the mission file that names the
+    exposures. Images without an exposure are reported, and exposures
     without an observed image.
     """
     observed = np.array(images, dtype=str)
@@ -337,6 +340,7 @@ def append_unmatched_images(stations: Stations, images: tuple[str, ...]) -> tupl
         proposal = messages.names_shifted(shift=shift) if shift else ""
     notes.append(
         messages.images_unmatched(
+            where=where,
             images=unknown,
             unused=unused,
             like=_neighbour_by_name(stations, unknown[0]),

@@ -119,7 +119,8 @@ def prepare_mission(
     if stations is None:
         stations = stations_of_mission(mission, inputs, flight, terrain, ledger)
     else:
-        stations = ledger.take(append_unmatched_images(stations, observations.images))
+        images = observations.images
+        stations = ledger.take(append_unmatched_images(stations, images, where="stations"))
     check_object_points(observations, stations, ledger)
     ledger.extend(undulation_notes(flight.heights, stations, package_geoid()))
 
