@@ -16,7 +16,7 @@ import pytest
 from tests.batch.missions import wait_until
 from tests.helpers import refused
 from unbend.batch import other_processes, processes
-from unbend.batch.campaigns import head_of, is_page_ours
+from unbend.batch.campaigns import foreign_pages, head_of
 from unbend.batch.execute import run_many
 from unbend.batch.executors import Bug, Lost, Outcome
 from unbend.batch.other_processes import holder_of, is_suspended
@@ -162,7 +162,7 @@ def test_a_pipe_among_results_is_not_read(tmp_path):
     refusal.match("it is not a file")
     assert read_manifest(tmp_path, ignore_damaged=True) is None
     assert head_of(tmp_path / "campaign.html") == ""
-    assert not is_page_ours(tmp_path, ["campaign.parquet"])
+    assert foreign_pages(tmp_path) == ["campaign.html", "campaign.parquet"]
     assert find_unchanged(MissionRef.of(tmp_path / "manifest.json")) is None  # as a mission file
 
 

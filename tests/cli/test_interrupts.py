@@ -428,7 +428,7 @@ def test_a_reader_who_goes_away_is_no_bug(flown):
 def test_a_full_disk_behind_standard_output_is_no_bug():
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "unbend", "-h"], stdout=full, stderr=-1, text=True
+            [sys.executable, "-m", "unbend", "-h"], stdout=full, stderr=subprocess.PIPE, text=True
         )
     assert done.returncode == 5
     assert done.stderr.startswith("STORAGE-WRITE: ")

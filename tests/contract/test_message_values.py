@@ -1,6 +1,7 @@
 """Each message and refusal carries the values that it is given, each under its own name.
 
-Its text names no others, it is right for one and for many, and a refusal gives a remedy.
+A text names only values that are given, reads well for one and for many, and a refusal has a
+remedy.
 
 The functions of every `messages.py` are called with values of which no two are equal: one that
 stands under the name of another, or in another unit, is noticed.
@@ -87,7 +88,7 @@ def test_a_message_carries_each_value_under_its_own_name(maker):
     made = maker(**arguments)
     if not isinstance(made, (Message, UnbendError)):
         return
-    assert made.what, "a name in braces that is not given raises here"
+    assert made.what  # raises KeyError for a name in braces that is not given
     if isinstance(made, UnbendError):
         assert made.remedy or maker.__name__ in WITHOUT_REMEDY
     else:
@@ -101,6 +102,8 @@ def test_a_message_carries_each_value_under_its_own_name(maker):
             assert str(argument) in str(value), name
         elif is_number and isinstance(value, int | float):
             assert math.isclose(value, argument), name
+        elif isinstance(argument, list) and name in carried:
+            assert str(argument[0]) in str(value), name
         elif isinstance(argument, tuple) and name not in carried:
             # Its two numbers have names of their own, or are together in a text.
             numbers = [number for number in carried.values() if number in argument]

@@ -68,8 +68,8 @@ def files_of_tests() -> list[FileOfTests]:
 def nearest_tests(source: Source, line: int) -> tuple[str, ...]:
     """The module's own examples, then the test files that are likeliest to notice a bug in a line.
 
-    Likely are files that import the module, bear its name, name the function or another of the
-    module, or are of its room.
+    Likeliest is the file with most signs: it is of the module's room, imports the module, has its
+    name, names the function, or another function or class of it.
     """
     module = source.path
     *packages, stem = module.relative_to(PACKAGE.parent).with_suffix("").parts
@@ -77,25 +77,26 @@ def nearest_tests(source: Source, line: int) -> tuple[str, ...]:
     imported = re.compile(rf"\b{package}\.{stem}\b|from {package} import [^\n]*\b{stem}\b")
     folder = f"tests/{room_of(module)}/"
     function = function_of(source, line)
-    telling_names = set()
+    long_names = set()
     for node in source.tree.body:
         name = getattr(node, "name", "")  # of functions and classes
         if len(name) >= 8:
-            telling_names.add(name)
-    closeness = {}
+            long_names.add(name)
+    signs_of_file = {}
     for file in files_of_tests():
         signs = [
+            file.name.startswith(folder),
             imported.search(file.text) is not None,
             file.subject == stem,
             function in file.words,
-            not telling_names.isdisjoint(file.words),
-            stem == "messages" and file.name == TESTS_OF_MESSAGES,
-            file.name.startswith(folder),
+            not long_names.isdisjoint(file.words),
         ]
-        closeness[file.name] = sum(signs)
-    nearest = sorted(closeness, key=lambda name: -closeness[name])
-    own_examples = str(module.relative_to(ROOT))
-    return (own_examples, *nearest[:NEAREST_FILES])
+        signs_of_file[file.name] = sum(signs), signs
+    files = sorted(signs_of_file, key=signs_of_file.__getitem__, reverse=True)
+    nearest = [str(module.relative_to(ROOT)), *files[:NEAREST_FILES]]
+    if stem == "messages":
+        nearest.append(TESTS_OF_MESSAGES)
+    return tuple(dict.fromkeys(nearest))
 
 
 def function_of(source: Source, line: int) -> str:

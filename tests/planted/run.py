@@ -38,7 +38,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 SHARE_OF_ALL = 0.95
 SHARE_OF_DRAWN = 0.85
-# Longer than the tests of any room take on two cores: beyond it they hang.
+# Some times what the tests of the largest room take on a busy machine: beyond it they hang.
 LIMIT_S = 1800.0
 # Numba's cache compares only the file of the entry function with what it stored: bugs in these
 # places need code that was compiled with them.

@@ -204,19 +204,21 @@ def missions_by_name(names: Sequence[str], missions: Sequence[NamedMission]) -> 
 
 def refuse_foreign_page(output: Path) -> None:
     """Refuse (STORAGE-NOT-OURS) to replace a page or table that unbend did not write."""
-    present = [name for name in (PAGE, TABLE) if (output / name).exists()]
-    if present and not is_page_ours(output, present):
-        raise messages.files_not_ours(path=str(output), results=present)
+    foreign = foreign_pages(output)
+    if foreign:
+        raise messages.files_not_ours(path=str(output), results=foreign)
 
 
-def is_page_ours(output: Path, present: Sequence[str]) -> bool:
-    """Whether unbend wrote the page and the table of a campaign that are there.
-
-    ``present`` are the names of those of the two files that are in the folder ``output``.
-    """
-    if PAGE in present and MARK not in head_of(output / PAGE):
-        return False
-    return TABLE not in present or is_table_ours(output / TABLE)
+def foreign_pages(output: Path) -> list[str]:
+    """The names of page and table of a campaign that are in a folder, and not of unbend."""
+    page = output / PAGE
+    table = output / TABLE
+    foreign = []
+    if page.exists() and MARK not in head_of(page):
+        foreign.append(PAGE)
+    if table.exists() and not is_table_ours(table):
+        foreign.append(TABLE)
+    return foreign
 
 
 def is_table_ours(table: Path) -> bool:

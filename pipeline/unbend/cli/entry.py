@@ -6,6 +6,7 @@ import signal
 import sys
 import traceback
 from io import StringIO, TextIOWrapper
+from typing import TextIO
 
 import typer
 
@@ -30,7 +31,7 @@ _COMMANDS = (guide, missions, physics, results)
 # newer versions of typer.
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)  # the second: a user's share of it
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)  # EDQUOT: the quota of a user is used up
 
 
 def _install_signal_handlers() -> None:
@@ -45,9 +46,9 @@ def _install_signal_handlers() -> None:
     signal.signal(signal.SIGTERM, lambda *_: end_process(EXIT_TERMINATED))
 
 
-def _discard_further_output() -> None:
-    """Send standard output nowhere: Python flushes the rest at exit, which must not fail again."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _discard_further_output(stream: TextIO) -> None:
+    """Send a stream nowhere: Python flushes the rest at exit, which must not fail again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def run_command(arguments: list[str]) -> int:
@@ -95,10 +96,38 @@ def _prepare_process() -> None:
 def main() -> None:
     """Run the command of this process, and end the process with its exit code."""
     _prepare_process()
-    code = EXIT_DONE
+    try:
+        code = _code_of_command()
+    except BrokenPipeError:  # the reader closed the pipe
+        _discard_further_output(sys.stdout)
+        sys.exit(EXIT_INTERRUPTED)
+    except OSError as error:
+        is_of_output = error.errno in _DISK_FULL and error.filename is None
+        if not is_of_output:
+            raise
+        _discard_further_output(sys.stdout)
+        refusal = messages.output_not_written(answer=error.strerror or str(error))
+        try:
+            print_error(refusal)
+        except OSError:  # standard error leads to the same disk
+            _discard_further_output(sys.stderr)
+        sys.exit(refusal.exit_code)
+    finally:
+        ignore_further_signals()
+        for number in SIGNALS:  # Python's shutdown replaces a handler by the default action
+            signal.signal(number, signal.SIG_IGN)
+    if code == EXIT_INTERRUPTED:
+        print("interrupted; run again to finish", file=sys.stderr)
+    sys.exit(code)
+
+
+def _code_of_command() -> int:
+    """Run the command of this process, print its refusal, and return its exit code.
+
+    Raises OSError if standard output cannot be written.
+    """
     try:
         code = run_command(sys.argv[1:])
-        sys.stdout.flush()
     except UnbendError as error:
         print_error(error)
         code = error.exit_code
@@ -111,20 +140,5 @@ def main() -> None:
         error.show(file=text)  # type: ignore[attr-defined]
         print(visible(text.getvalue(), keep="\n"), end="", file=sys.stderr)
         code = EXIT_CONFIG
-    except BrokenPipeError:  # the reader closed the pipe
-        _discard_further_output()
-        sys.exit(EXIT_INTERRUPTED)
-    except OSError as error:
-        if error.errno not in _DISK_FULL:
-            raise
-        _discard_further_output()
-        refusal = messages.output_not_written(answer=error.strerror or str(error))
-        print_error(refusal)
-        sys.exit(refusal.exit_code)
-    finally:
-        ignore_further_signals()
-        for number in SIGNALS:  # Python's shutdown replaces a handler by the default action
-            signal.signal(number, signal.SIG_IGN)
-    if code == EXIT_INTERRUPTED:
-        print("interrupted; run again to finish", file=sys.stderr)
-    sys.exit(code)
+    sys.stdout.flush()
+    return code

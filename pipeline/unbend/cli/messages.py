@@ -142,7 +142,7 @@ def no_place_for_compiled_code(*, path: str) -> StorageError:
 
 
 def output_not_written(*, answer: str) -> StorageError:
-    """Standard output leads to a file on a disk that is full; ``answer`` is of the system."""
+    """Standard output is a file on a full disk; ``answer``: the words of the system."""
     return StorageError(
         STORAGE_WRITE,
         "{answer}",

@@ -1077,7 +1077,7 @@ IMAGES_UNMATCHED = Code(
 def images_unmatched(
     *, where: str, images: Sequence[str], unused: Sequence[str], like: str | None, proposal: str
 ) -> Message:
-    """Images of the observations without an exposure; ``where`` is what names the exposures.
+    """Images of the observations without an exposure; ``where``: the key that names the exposures.
 
     ``unused`` : exposures without observations. ``like`` : an exposure with a similar name.
     ``proposal`` : of `propose_differences` or `names_shifted`, "" without one.

@@ -320,9 +320,8 @@ def append_unmatched_images(
 ) -> tuple[Stations, Notes]:
     """Append a station of status UNMATCHED for each observed image that has no exposure.
 
-    ``images``: all images with observations. ``where``: the key of the mission file that names the
-    exposures. Images without an exposure are reported, and exposures
-    without an observed image.
+    Reports images without an exposure, and exposures without an observed image. ``images``: all
+    images with observations. ``where``: the key of the mission file that names the exposures.
     """
     observed = np.array(images, dtype=str)
     is_unused = ~np.isin(stations.image.astype(str), observed)

@@ -55,15 +55,12 @@ def camera_of_model(
     if model not in MODELS:
         raise messages.camera_model(model=model, models=", ".join(MODELS))
     distortion, names = MODELS[model]
-    are_possible = all(abs(value) <= LARGEST_PARAMETER for value in parameters)
-    if len(parameters) != len(names) or not are_possible:
-        given = ", ".join(f"{value:g}" for value in parameters)
-        raise messages.camera_parameters(
-            model=model,
-            count=len(names),
-            names=", ".join(names),
-            given=given or "none",
-        )
+    given = ", ".join(f"{value:g}" for value in parameters)
+    not_fitting = messages.camera_parameters(
+        model=model, count=len(names), names=", ".join(names), given=given or "none"
+    )
+    if len(parameters) != len(names):
+        raise not_fitting
     value_of = dict(zip(names, map(float, parameters), strict=True))
     if "f" in value_of:
         fx = value_of.pop("f")
@@ -74,6 +71,8 @@ def camera_of_model(
     cx = value_of.pop("cx")
     cy = value_of.pop("cy")
     _refuse_impossible_numbers(model, (width_px, height_px), (fx, fy), (cx, cy))
+    if not all(abs(value) <= LARGEST_PARAMETER for value in parameters):
+        raise not_fitting
     return Camera(
         width_px=width_px,
         height_px=height_px,

@@ -384,8 +384,8 @@ def matched_stations(
     images = {name: stations.image[stations.camera == name].tolist() for name in names}
     refuse_other_names(images, observed)
     ledger.extend(exposures.ground_shot_notes(stations, flight.roles, observed, flight.ground))
-    source = "stations.orientation" if mission.events is None else "events"
-    stations = ledger.take(append_unmatched_images(stations, observed, where=source))
+    where = "events" if mission.stations.orientation is None else "stations.orientation"
+    stations = ledger.take(append_unmatched_images(stations, observed, where=where))
     ledger.extend(unusable_station_notes(stations))
     section = mission.stations
     tilt_deg = section.max_sigma_tilt_deg

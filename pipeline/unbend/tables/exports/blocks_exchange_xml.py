@@ -52,7 +52,7 @@ def plain_coefficients(camera: Camera, name: str, program: str) -> dict[str, flo
 
 def write_blocks_exchange(run: FinishedRun, _: Values, path: Path, ledger: Ledger) -> int:
     """Write the block as one file; returns the number of image points in it."""
-    block = block_of(run, ledger, has_ellipsoidal_heights=True)
+    block = block_of(run, ledger, names_origin_on_ellipsoid=True)
     single = int(np.sum(block.images_of_point[block.point] < 2))
     written = int(block.point.size) - single
     add_counts_written(block, ledger, image_points=written, points=len(block.point_m))
@@ -161,7 +161,7 @@ def coordinates(position_m: Array, origin_height_m: float) -> str:
 def frame_of_block(run: FinishedRun, _: Values) -> ExportFrame:
     """The frame of the file: east, north, up, matrices, and pixels from their centres.
 
-    Its origin is on the ellipsoid below that of the block, as the file gives heights above it.
+    The origin is that of the block, moved along its vertical to the ellipsoid: z counts from there.
     """
     positions = block_positions(run.stations)
     if positions.origin is not None:

@@ -155,16 +155,18 @@ def block_of(
     ledger: Ledger,
     *,
     intersect: bool = True,
-    has_ellipsoidal_heights: bool = False,
+    names_origin_on_ellipsoid: bool = False,
 ) -> ExportedBlock:
     """The block of a run, in one pass over its parts; in memory some 70 bytes an observation.
 
     ``intersect`` : compute object points; False for formats without them.
-    ``has_ellipsoidal_heights`` : the file gives z above the ellipsoid, not above the origin, and
-    the ledger says so (EXPORT-FRAME). Left out as losses (EXPORT-LEFT-OUT) are images without a
-    usable station with their observations, observations of another status than ok, and repeated
-    observations of a point in an image. Refuses (MissionError) a run without a placed station
-    (EXPORT-NO-STATIONS), and stations of a camera that the run does not define (EXPORT-CAMERA).
+    ``names_origin_on_ellipsoid`` : the note on the frame (EXPORT-FRAME) names the origin at height
+    0, because the writer adds its height to z. The block is the same.
+
+    Left out as losses (EXPORT-LEFT-OUT) are images without a usable station with their
+    observations, observations of another status than ok, and repeated observations of a point in an
+    image. Refuses (MissionError) a run without a placed station (EXPORT-NO-STATIONS), and stations
+    of a camera that the run does not define (EXPORT-CAMERA).
     """
     rows = _stations_of_block(run, ledger)
     stations = run.stations
@@ -193,7 +195,7 @@ def block_of(
     if intersect:
         _fill_object_points(block, stations.rows(rows), points.h_g_m, ledger)
     lat, lon, height_of_origin = frame.origin_deg.tolist()
-    if has_ellipsoidal_heights:
+    if names_origin_on_ellipsoid:
         height_of_origin = 0.0
     ledger.add(messages.block_frame(where="stations.parquet", lat=lat, lon=lon, h=height_of_origin))
     return block
@@ -354,11 +356,11 @@ def intersected(
 ) -> tuple[Array, Mask]:
     """(t, 3) positions of the object points, and (t,) whether their rays intersect.
 
-    Two rays intersect if they are 3 degrees or more apart, and more rays if their directions vary
-    as much: the position is then that of the least squares of the angles across the rays. Else it
-    is the mean of where they reach the ground. ``up`` (n, 3) is the vertical of each image in the
-    block's frame, ``h_c`` (n,) the height of its camera, ``h_g`` (r,) that of the ground at the
-    image points, both above sea level [m].
+    Rays intersect if the least squares of the angles across them determine the point well (two rays
+    of equal length: more than 3 degrees apart), and it is nearer to the ground than the cameras
+    are. Other points are at the mean of where their rays reach the ground. ``up`` (n, 3) is the
+    vertical of each image in the block's frame, ``h_c`` (n,) the height of its camera, ``h_g`` (r,)
+    that of the ground at the image points, both above sea level [m].
     """
     sums = _RaySums.of_points(len(block.point_m))
     for i, camera, image_points in block.images():
@@ -372,7 +374,7 @@ def intersected(
             far=False,
         )
         sums.add(block.frame.position_m[i], block.point[image_points], ray, reach_m)
-    rays_of_point = np.maximum(block.images_of_point[: len(block.point_m), None], 1)
+    rays_of_point = np.maximum(sums.rays, 1)
     ground = sums.ground / rays_of_point
     distance = sums.distance / rays_of_point
     position, are_apart = _least_squares(sums.normal, sums.right)
@@ -389,13 +391,15 @@ class _RaySums:
 
     ``normal`` (t, 3, 3) and ``right`` (t, 3) are the normal equations for the position with the
     least squares of the angles across the rays, and their right sides; ``ground`` (t, 3) sums where
-    the rays reach the ground, ``distance`` (t, 1) how far from the cameras [m].
+    the rays reach the ground, ``distance`` (t, 1) how far from the cameras [m]; ``rays`` (t, 1)
+    counts the rays.
     """
 
     normal: Array
     right: Array
     ground: Array
     distance: Array
+    rays: Array
 
     @classmethod
     def of_points(cls, points: int) -> "_RaySums":
@@ -405,6 +409,7 @@ class _RaySums:
             right=np.zeros((points, 3)),
             ground=np.zeros((points, 3)),
             distance=np.zeros((points, 1)),
+            rays=np.zeros((points, 1)),
         )
 
     def add(
@@ -428,6 +433,7 @@ class _RaySums:
         weighted = across_ray / reach_m[:, :, None] ** 2
         self.normal[point] += weighted
         self.right[point] += weighted @ centre
+        self.rays[point] += 1
         self.ground[point] += centre + reach_m * ray
         self.distance[point] += reach_m
 
@@ -441,8 +447,8 @@ def _image_rays(block: ExportedBlock, camera: Camera, image_points: slice) -> Ar
 def _least_squares(normal: Array, right: Array) -> tuple[Array, Mask]:
     """(t, 3) solutions of normal equations, and (t,) whether their rays are far enough apart.
 
-    Two rays are from 3 degrees on. The solution means nothing where they are not: there ``normal``
-    (t, 3, 3) is overwritten by unit matrices, because it may be singular.
+    For two rays of equal length these are 3 degrees. The solution means nothing where they are not:
+    there ``normal`` (t, 3, 3) is overwritten by unit matrices, because it may be singular.
     """
     # Two rays at an angle a have (1 - cos a) / 4 of the trace as the least eigenvalue.
     part_of_trace = 0.25 * (1.0 - np.cos(MINIMUM_ANGLE_RAD))

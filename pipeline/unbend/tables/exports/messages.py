@@ -595,7 +595,7 @@ def pixel_size_unknown(*, where: Path | str, name: str) -> ConfigError:
 
 EXPORT_POINT_HEIGHT = Code(
     "EXPORT-POINT-HEIGHT",
-    means="The rays of points do not intersect, or at too small an angle (3 degrees for two rays).",
+    means="The rays of points do not intersect, or at too small an angle (two rays: 3 degrees).",
     effect="These points are where their rays reach the ground height of the run.",
     remedy="Nothing. The adjustment moves them.",
 )

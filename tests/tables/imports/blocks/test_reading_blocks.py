@@ -519,6 +519,7 @@ def test_a_local_system_of_metashape_is_no_frame():
         (('class="adjusted"', 'class="initial"'), "no adjusted calibration"),
         (("1 0 0 10 0", "1 0 ten 10 0"), "not as that program writes it"),
         (("1 0 0 10 0", "1 0.5 0 10 0"), "'a.jpg' is not a rotation"),
+        (("1 0 0 10 0", "-1 0 0 10 0"), "'a.jpg' is not a rotation"),
         (("<cx>1</cx>", "<p3>0.1</p3>"), "p3 of a frame calibration"),
         (("a.jpg", "b.jpg"), "'b.jpg' occurs twice"),
     ],

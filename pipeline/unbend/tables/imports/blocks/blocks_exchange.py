@@ -98,7 +98,8 @@ def read_images(path: Path) -> OrientationTable:
     system = _system_of_block(document)
     if system.is_geographic:
         position[:, :2] = np.radians(position[:, [1, 0]])
-    table = oriented_images(images, cameras, position, quaternions_of_poses(rotations))
+    quaternion = quaternions_of_poses(path, images, rotations)
+    table = oriented_images(images, cameras, position, quaternion)
     return replace(
         table,
         frame=system.frame,

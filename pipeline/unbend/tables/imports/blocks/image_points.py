@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 from numpy.typing import ArrayLike
 
 from unbend.flight.heights import GeodeticOrigin
-from unbend.flight.rotations import matrices_of, quaternions_of
+from unbend.flight.rotations import quaternions_of
 from unbend.flight.stations import NO_TIME
 from unbend.refraction.camera.camera import Camera
 from unbend.tables.imports.blocks import messages
@@ -26,7 +26,7 @@ from unbend.tables.imports.user_tables import OrientationTable
 from unbend.units import Array, Integers
 
 _LARGEST_DEVIATION = 1e-3
-"""Of an element of a rotation matrix, which is written with a few digits."""
+"""Of the products of rows of a rotation matrix, which is written with a few digits."""
 
 CameraMakers = dict[str, Callable[[], Camera]]
 """Camera name -> function that makes the camera, or refuses its calibration."""
@@ -120,17 +120,31 @@ def oriented_images(
     )
 
 
-def quaternions_of_poses(matrix: ArrayLike) -> Array:
-    """(n, 4) quaternions w, x, y, z of matrices (n, 3, 3) that a file gives for rotations.
+def quaternions_of_poses(
+    path: Path,
+    image: Sequence[str],
+    matrix: ArrayLike,
+) -> Array:
+    """(n, 4) quaternions w, x, y, z of the rotation matrices (n, 3, 3) of images (n,) in a file.
 
-    Zeros for a matrix that is not a rotation, so that `read_block_images` refuses it: the nearest
-    rotation would be taken otherwise. NaN for a matrix with NaN.
+    NaN for a matrix with NaN. Refuses (InputError) the first image whose matrix is not a rotation:
+    the nearest rotation, or a mirrored image, would be taken otherwise.
     """
     matrices = np.asarray(matrix, np.float64).reshape(-1, 3, 3)
-    quaternion = quaternions_of(matrices)
-    deviation = np.abs(matrices_of(quaternion) - matrices).max(axis=(1, 2))
-    quaternion[deviation > _LARGEST_DEVIATION] = 0.0
-    return quaternion
+    known = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
+    known_matrices = matrices[known]
+    products = known_matrices @ known_matrices.transpose(0, 2, 1)
+    deviations = np.abs(products - np.eye(3))
+    is_skewed = deviations.max(axis=(1, 2)) > _LARGEST_DEVIATION
+    is_mirrored = np.linalg.det(known_matrices) < 0.0
+    wrong = known[is_skewed | is_mirrored]
+    if wrong.size:
+        first_wrong = int(wrong[0])
+        raise messages.no_rotation(
+            where=path,
+            image=image[first_wrong],
+        )
+    return quaternions_of(matrices)
 
 
 def rows_with_point(rows: pa.RecordBatch, image: str, point: str) -> Integers:

@@ -73,7 +73,8 @@ def read_images(path: Path) -> OrientationTable:
     cameras = [camera for camera in all_cameras if _is_enabled(camera)]
     name_of_camera = _image_names(chunk)
     names = [name_of_camera[camera.get("id", "")] for camera in cameras]
-    position, quaternion = _exterior_orientations(chunk, cameras)
+    position, rotation = _exterior_orientations(chunk, cameras)
+    quaternion = quaternions_of_poses(path, names, rotation)
     table = oriented_images(names, _names_of_sensors(chunk, cameras), position, quaternion)
     left_out = [name_of_camera[number] for number in _disabled_cameras(chunk)]
     if left_out:
@@ -99,18 +100,24 @@ def _exterior_orientations(
     chunk: ElementTree.Element,
     cameras: list[ElementTree.Element],
 ) -> tuple[Array, Array]:
-    """(n, 3) positions and (n, 4) quaternions w, x, y, z of ``cameras``; NaN if not aligned."""
+    """(n, 3) positions and (n, 3, 3) rotation matrices of ``cameras``; NaN if not aligned.
+
+    The matrices lead from the earth or local coordinates to the camera.
+    """
     all_cameras = [*chunk.iterfind("cameras//camera")]
     poses = _poses(chunk, all_cameras)  # a master may be disabled, and its slave not
     components = _components(all_cameras)
     position = np.full((len(cameras), 3), np.nan)
-    quaternion = np.full((len(cameras), 4), np.nan)
+    rotation = np.full((len(cameras), 3, 3), np.nan)
     for row, camera in enumerate(cameras):
         number = camera.get("id", "")
         if number in poses:
+            pose = poses[number]
             transform = _chunk_transform(chunk, components[number])
-            position[row], quaternion[row] = _exterior_orientation(poses[number], transform)
-    return position, quaternion
+            camera_place = transform.scale * transform.rotation @ pose[:3, 3]
+            position[row] = camera_place + transform.translation
+            rotation[row] = (transform.rotation @ pose[:3, :3]).T
+    return position, rotation
 
 
 def read_places(path: Path) -> tuple[KnownPlaces, ...]:
@@ -304,8 +311,11 @@ def _poses(chunk: ElementTree.Element, cameras: list[ElementTree.Element]) -> di
 
 
 def _numbers(text: str) -> Array:
-    """The numbers of a text that are separated by blanks."""
-    return np.array(text.split(), np.float64)
+    """The numbers of a text that are separated by blanks; ValueError where one is not finite."""
+    numbers = np.array(text.split(), np.float64)
+    if not np.isfinite(numbers).all():
+        raise ValueError(text)
+    return numbers
 
 
 def _master_from_sensor(sensor: ElementTree.Element) -> Array:
@@ -366,18 +376,6 @@ def _chunk_transform(chunk: ElementTree.Element, component: str | None) -> _Chun
         rotation=rotation.reshape(3, 3),
         translation=_numbers(transform.findtext("translation", "0 0 0")),
     )
-
-
-def _exterior_orientation(pose: Array, transform: _ChunkTransform) -> tuple[Array, Array]:
-    """Position (3,) and quaternion (4,) w, x, y, z of a camera.
-
-    ``pose`` (4, 4) leads from the camera to the chunk, the quaternion from the earth or local
-    coordinates to the camera.
-    """
-    rotation = transform.rotation
-    (quaternion,) = quaternions_of_poses((rotation @ pose[:3, :3]).T)
-    position = transform.scale * rotation @ pose[:3, 3] + transform.translation
-    return position, quaternion
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,7 @@ def read_images(path: Path) -> OrientationTable:
     cameras = [str(interiors.index(image.interior) + 1) for image in images]
     names = [image.name for image in images]
     centres = np.array([image.centre for image in images]) + _offset(path, images, external, crs)
-    quaternion = quaternions_of_poses([image.rotation for image in images])
+    quaternion = quaternions_of_poses(path, names, [image.rotation for image in images])
     table = oriented_images(names, cameras, centres, quaternion)
     _refuse_contradiction(path, table, external)
     return replace(table, crs=crs)
