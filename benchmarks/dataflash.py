@@ -34,7 +34,7 @@ def grow(log: Path, out: Path, size_bytes: int) -> int:
     source = np.frombuffer(data, np.uint8).copy()
     place_parts = []
     number_parts = []
-    for block in scan.wanted:
+    for block in scan.kept_blocks:
         place_parts.append(block.base + block.at.astype(np.int64))
         number_parts.append(block.numbers)
     places = np.concatenate(place_parts)

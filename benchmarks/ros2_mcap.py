@@ -13,7 +13,7 @@ from pathlib import Path
 from timing import Rates, seconds
 
 from unbend.ingest import open_log
-from unbend.ingest.mcap.mcap_log import MCAP
+from unbend.ingest.mcap.mcap_log import read_log
 from unbend.ingest.mcap.topic_samples import SCHEMAS, message_name
 from unbend.messages import Ledger
 
@@ -81,7 +81,7 @@ def library(log: Path, topics: list[str]) -> int:
 
 def ours(log: Path) -> int:
     """The same topics as channels; how many messages that is."""
-    return sum(len(channel) for channel in MCAP.read(log, Ledger()).channels)
+    return sum(len(channel) for channel in read_log(log, Ledger()).channels)
 
 
 def main(source: Path, megabytes: int = 110, pairs: int = 7):

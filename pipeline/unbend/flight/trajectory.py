@@ -449,10 +449,10 @@ class _Curve:
         return np.asarray(2.0 * u * (1.0 - u) * misfit)
 
     def _four_rows(self, samples: Bracket) -> Rows:
-        """(4, m) rows of the two samples before each instant and the two after it.
+        """(4, m) rows of the samples about each instant with misfits that give the sigma there.
 
-        The second sample replaces the first, and the last but one replaces the last: those have
-        no neighbour on one side.
+        They are the two before it and the two after it. A misfit needs a neighbour on both sides:
+        the second sample stands in for the first, and the last but one for the last.
         """
         last = len(self.channel) - 1
         before = samples.before

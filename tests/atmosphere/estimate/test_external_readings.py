@@ -133,10 +133,10 @@ def test_two_soundings_share_their_error(norman):
 
     departures = sounding_departures(balloons, air, over(norman))
 
-    assert [departure.apart.hours for departure in departures] == [12.0, 11.0, 12.0]
+    assert [departure.from_flight.hours for departure in departures] == [12.0, 11.0, 12.0]
     first, second, third = departures
-    assert first.beside[second.name].hours == 1.0
-    assert first.beside[third.name].hours == 24.0
+    assert first.from_other_soundings[second.name].hours == 1.0
+    assert first.from_other_soundings[third.name].hours == 24.0
     joint = joint_covariance(air, np.array([0.0, 3000.0]), departures)
     size = first.knot.size
     row = 2 + size // 4  # some 3 km up, behind two knots of the air

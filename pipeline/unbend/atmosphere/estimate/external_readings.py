@@ -151,7 +151,7 @@ def reason_uninformative(source: Sounding | SurfaceReport, flight: TimeAndPlace)
         away = f"{hours:.0f} hours"
     elif lost_by_distance > 1.0:
         away = f"{metres / 1e3:.0f} km"
-    return f"it is {away} from the flight: the climatology is as accurate"
+    return messages.too_far_from_flight(away=away)
 
 
 def pressure_sources(

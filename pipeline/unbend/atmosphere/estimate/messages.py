@@ -724,6 +724,11 @@ AIR_SOURCE_FAR = Code(
 )
 
 
+def too_far_from_flight(*, away: str) -> str:
+    """Why a source is not used: it is so many hours or kilometres ``away``."""
+    return f"it is {away} from the flight: the climatology is as accurate"
+
+
 def source_far(*, name: str, reason: str, doubt: str) -> Message:
     """A sounding or report has no information on the air of this flight.
 
