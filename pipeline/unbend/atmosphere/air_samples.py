@@ -165,7 +165,10 @@ class SensorUse:
         return sentence
 
 
-def sensor_uses(samples: AirSamples, rejected: Mapping[str, Reasons]) -> tuple[SensorUse, ...]:
+def sensor_uses(
+    samples: AirSamples,
+    rejected: Mapping[str, Reasons],
+) -> tuple[SensorUse, ...]:
     """The use of each sensor of the air.
 
     ``rejected``: reasons by quantity, also those of an estimate; they replace those of the samples.

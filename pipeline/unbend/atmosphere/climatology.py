@@ -173,7 +173,8 @@ def climatology(
     index = index or IndexModel()
     if month is None:
         hour = None
-    place = SeasonAndPlace(latitude_rad, SPRING if month is None else month, longitude_rad)
+    month_or_spring = SPRING if month is None else month
+    place = SeasonAndPlace(latitude_rad, month_or_spring, longitude_rad)
     daily = DailyCycle(latitude_rad, place.month, ground_h_m)
     expected = _expected_profile(place, daily, hour, index)
     if month is None:

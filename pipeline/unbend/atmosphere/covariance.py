@@ -21,7 +21,14 @@ RAY_STEPS = 200  # trapezia of the plane integral: 1e-5 of R over 10 km
 
 # Central differences of eighth order of the index formula itself, so that a new one is still one
 # function. Its poles in T, p and e/p are far away: with long steps derivatives keep 13 digits.
-_STENCIL = np.array([4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0])
+_STENCIL = np.array(
+    [
+        4.0 / 5.0,
+        -1.0 / 5.0,
+        4.0 / 105.0,
+        -1.0 / 280.0,
+    ]
+)
 _TEMPERATURE_STEP = 0.007  # relative, of T
 _PRESSURE_STEP = 0.05  # relative, of p
 _VAPOUR_STEP = 0.05  # absolute, in e/p

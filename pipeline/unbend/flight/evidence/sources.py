@@ -119,7 +119,11 @@ def velocity_at(channels: Iterable[Channel], quantity: str, time_ns: TimeArray) 
     return np.full((time_ns.size, len(names)), np.nan)
 
 
-def source_path(channel: Channel, quantity: str, channels: Iterable[Channel]) -> SourcePath:
+def source_path(
+    channel: Channel,
+    quantity: str,
+    channels: Iterable[Channel],
+) -> SourcePath:
     """Find the steps of a source that no vehicle makes.
 
     The part of a move between two samples that neither a logged velocity nor the speed of
