@@ -190,16 +190,21 @@ STORAGE_WRITE = Code(
 )
 
 
+def not_written(error: OSError, path: object) -> StorageError:
+    """The system refuses to write the file that the error names, or else ``path``."""
+    return StorageError(
+        STORAGE_WRITE,
+        "{answer}",
+        where=error.filename or path,
+        remedy="free space or correct permissions, then run again: finished missions are kept",
+        answer=error.strerror or str(error),
+    )
+
+
 @contextmanager
 def storage_errors(path: object) -> Iterator[None]:
     """Raise an error of the operating system as StorageError (STORAGE-WRITE)."""
     try:
         yield
     except OSError as error:
-        raise StorageError(
-            STORAGE_WRITE,
-            "{answer}",
-            where=error.filename or path,
-            remedy="free space or correct permissions, then run again: finished missions are kept",
-            answer=error.strerror or str(error),
-        ) from None
+        raise not_written(error, path) from None

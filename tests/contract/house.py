@@ -1,7 +1,7 @@
 """Measures how readably the package is written, module by module, and keeps it from getting worse.
 
-    python tests/contract/house.py [FOLDER]      prints the places where a rule is broken
-    python tests/contract/house.py --write       renews house.json, after an improvement
+    python tests/contract/house.py             prints the places where a rule is broken
+    python tests/contract/house.py --write     renews house.json, after an improvement
 
 Each figure has a limit. Where a module is beyond it, its present figure stands in `house.json` and
 may only fall. A figure is a hint where to look, not the goal: cold readers decide. The linter
@@ -280,10 +280,9 @@ def worse_than(
 def main():
     """The command line."""
     parser = argparse.ArgumentParser(description="How readably the package is written")
-    parser.add_argument("folder", nargs="?", type=Path, default=PACKAGE)
     parser.add_argument("--write", action="store_true", help="renew house.json")
     options = parser.parse_args()
-    modules = measure(options.folder.resolve())
+    modules = measure()
     for module in modules.values():
         for place in module.places:
             print(f"{module.name}:{place.line}: {place.rule}: {place.what}")

@@ -4,7 +4,6 @@ import ast
 import pickle
 import re
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -30,23 +29,14 @@ EXPLAINED = {
 }
 
 
-def calls() -> Iterator[tuple[str, ast.Call]]:
-    """All calls of the package, with their places."""
-    for name, node in nodes():
-        if isinstance(node, ast.Call):
-            yield f"{name}:{node.lineno}", node
-
-
 def defined_codes():
     """Name and place of every ``Code("NAME", ...)``."""
-    return [
-        (str(call.args[0].value), place)
-        for place, call in calls()
-        if isinstance(call.func, ast.Name)
-        and call.func.id == "Code"
-        and call.args
-        and isinstance(call.args[0], ast.Constant)
-    ]
+    codes = []
+    for module, node in nodes():
+        is_code = isinstance(node, ast.Call) and ast.unparse(node.func) == "Code"
+        if is_code and node.args and isinstance(node.args[0], ast.Constant):
+            codes.append((str(node.args[0].value), f"{module}:{node.lineno}"))
+    return codes
 
 
 @pytest.fixture(scope="module")

@@ -17,31 +17,28 @@ def python(code, *options):
     return done.stdout
 
 
+def modules_after(statement):
+    """Names of the modules that an import loads."""
+    code = f"import sys, json; {statement}; print(json.dumps(sorted(sys.modules)))"
+    return set(json.loads(python(code)))
+
+
 HEAVY = ("numba", "pyarrow", "pandas", "scipy", "numpy", "matplotlib", "pymavlink", "yaml")
 
 
 def test_importing_the_package_loads_nothing_heavy():
-    modules = json.loads(
-        python("import sys, json; import unbend; print(json.dumps(sorted(sys.modules)))")
-    )
-    assert not set(HEAVY) & set(modules)
+    modules = modules_after("import unbend")
+    assert not set(HEAVY) & modules
     assert [name for name in modules if name.startswith("unbend.")] == []
 
 
 def test_the_command_line_is_light_until_it_works():
-    modules = json.loads(
-        python("import sys, json; import unbend.cli; print(json.dumps(sorted(sys.modules)))")
-    )
-    assert not set(HEAVY) & set(modules)
+    assert not set(HEAVY) & modules_after("import unbend.cli")
 
 
 def test_the_physics_needs_numpy_and_numba_alone():
     """And numba not before the first ray."""
-    code = (
-        "import sys, json\nimport unbend.atmosphere, unbend.refraction\n"
-        "print(json.dumps(sorted(m.split('.')[0] for m in sys.modules)))"
-    )
-    modules = set(json.loads(python(code)))
+    modules = modules_after("import unbend.atmosphere, unbend.refraction")
     assert "numpy" in modules
     assert not {"numba", "pyarrow", "pandas", "pymavlink", "mcap", "yaml", "pydantic"} & modules
 

@@ -78,6 +78,11 @@ def test_the_citation_names_the_three_papers():
     assert citation()["license"] == PROJECT["project"]["license"]
 
 
+def test_the_licence_is_apache():
+    assert "Apache License" in text_of(ROOT / "LICENSE")
+    assert PROJECT["project"]["license"] == "Apache-2.0"
+
+
 def test_types_and_tables_lie_in_the_package():
     package = Path(unbend.__file__).parent  # as installed
     assert (package / "py.typed").is_file()

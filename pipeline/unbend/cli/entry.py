@@ -11,9 +11,9 @@ from typing import TextIO
 import typer
 
 from unbend.arithmetic import use_same_arithmetic
-from unbend.cli import guide, messages, missions, physics, results
+from unbend.cli import guide, missions, physics, results
 from unbend.cli.app import app, print_bug, print_error
-from unbend.errors import UnbendError
+from unbend.errors import UnbendError, not_written
 from unbend.exit_codes import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED
 from unbend.interrupts import (
     SIGNALS,
@@ -106,7 +106,7 @@ def main() -> None:
         if not is_of_output:
             raise
         _discard_further_output(sys.stdout)
-        refusal = messages.output_not_written(answer=error.strerror or str(error))
+        refusal = not_written(error, "standard output")
         try:
             print_error(refusal)
         except OSError:  # standard error leads to the same disk
@@ -128,8 +128,10 @@ def _code_of_command() -> int:
     """
     try:
         code = run_command(sys.argv[1:])
+        sys.stdout.flush()
     except UnbendError as error:
         print_error(error)
+        sys.stdout.flush()
         code = error.exit_code
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else EXIT_DONE
@@ -140,5 +142,4 @@ def _code_of_command() -> int:
         error.show(file=text)  # type: ignore[attr-defined]
         print(visible(text.getvalue(), keep="\n"), end="", file=sys.stderr)
         code = EXIT_CONFIG
-    sys.stdout.flush()
     return code

@@ -139,14 +139,3 @@ def no_place_for_compiled_code(*, path: str) -> StorageError:
         where=path,
         remedy="correct its permissions, or name another folder in NUMBA_CACHE_DIR",
     )
-
-
-def output_not_written(*, answer: str) -> StorageError:
-    """Standard output is a file on a full disk; ``answer``: the words of the system."""
-    return StorageError(
-        STORAGE_WRITE,
-        "{answer}",
-        where="standard output",
-        remedy="free space, and run the command again",
-        answer=answer,
-    )

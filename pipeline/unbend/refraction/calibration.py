@@ -55,12 +55,8 @@ def camera_of_model(
     if model not in MODELS:
         raise messages.camera_model(model=model, models=", ".join(MODELS))
     distortion, names = MODELS[model]
-    given = ", ".join(f"{value:g}" for value in parameters)
-    not_fitting = messages.camera_parameters(
-        model=model, count=len(names), names=", ".join(names), given=given or "none"
-    )
     if len(parameters) != len(names):
-        raise not_fitting
+        raise messages.camera_parameters(model=model, names=names, given=parameters)
     value_of = dict(zip(names, map(float, parameters), strict=True))
     if "f" in value_of:
         fx = value_of.pop("f")
@@ -72,7 +68,7 @@ def camera_of_model(
     cy = value_of.pop("cy")
     _refuse_impossible_numbers(model, (width_px, height_px), (fx, fy), (cx, cy))
     if not all(abs(value) <= LARGEST_PARAMETER for value in parameters):
-        raise not_fitting
+        raise messages.camera_parameters(model=model, names=names, given=parameters)
     return Camera(
         width_px=width_px,
         height_px=height_px,

@@ -1,5 +1,7 @@
 """Messages of refraction: what each code means, and the words of what is sent."""
 
+from collections.abc import Sequence
+
 from unbend.errors import Code, Counted, PhysicsError
 
 ANGLE_DISTANCE = Code(
@@ -151,16 +153,17 @@ CAMERA_MODEL = Code(
 )
 
 
-def camera_parameters(*, model: str, count: int, names: str, given: str) -> PhysicsError:
+def camera_parameters(*, model: str, names: Sequence[str], given: Sequence[float]) -> PhysicsError:
     """The parameters of a camera model are too few, too many or impossible."""
+    given_numbers = ", ".join(f"{value:g}" for value in given)
     return PhysicsError(
         CAMERA_MODEL,
         "{model} has {parameters}, {names}; {given} are given",
         remedy="give them in the order in which COLMAP writes them into cameras.txt",
         model=model,
-        parameters=Counted(count, "parameter"),
-        names=names,
-        given=given,
+        parameters=Counted(len(names), "parameter"),
+        names=", ".join(names),
+        given=given_numbers or "none",
     )
 
 

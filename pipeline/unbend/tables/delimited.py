@@ -74,7 +74,9 @@ class _TabSeparatedFile(io.RawIOBase):
     def __init__(self, path: Path, encoding: str) -> None:
         self._file: IO[bytes] | codecs.StreamRecoder = path.open("rb")
         if encoding == "utf-16":
-            self._file = codecs.EncodedFile(self._file, "utf-8", encoding)
+            self._file = codecs.EncodedFile(
+                self._file, data_encoding="utf-8", file_encoding=encoding
+            )
         self._unread = b""  # converted lines that no buffer has taken yet
 
     def readable(self) -> bool:
