@@ -432,3 +432,11 @@ def test_a_full_disk_behind_standard_output_is_no_bug():
         )
     assert done.returncode == 5
     assert done.stderr.startswith("STORAGE-WRITE: ")
+
+
+@pytest.mark.parametrize("command", ["run", "inspect", "verify"])
+def test_a_path_that_is_too_long_is_refused(command):
+    words = [sys.executable, "-m", "unbend", command, "a" * 300 + ".bin"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("COMMAND-PATH: ")

@@ -11,7 +11,7 @@ from typing import TextIO
 import typer
 
 from unbend.arithmetic import use_same_arithmetic
-from unbend.cli import guide, missions, physics, results
+from unbend.cli import guide, messages, missions, physics, results
 from unbend.cli.app import app, print_bug, print_error
 from unbend.errors import UnbendError, not_written
 from unbend.exit_codes import EXIT_CONFIG, EXIT_DONE, EXIT_INTERRUPTED, EXIT_TERMINATED
@@ -137,6 +137,13 @@ def _code_of_command() -> int:
         code = end.code if isinstance(end.code, int) else EXIT_DONE
     except (typer.Abort, KeyboardInterrupt):  # raised by a library
         code = EXIT_INTERRUPTED
+    except OSError as error:
+        # Mission files refuse such a path with its line; only the command line is not checked.
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        refusal = messages.path_too_long(path=str(error.filename))
+        print_error(refusal)
+        code = refusal.exit_code
     except _USAGE_ERROR as error:
         text = StringIO()
         error.show(file=text)  # type: ignore[attr-defined]

@@ -8,6 +8,12 @@ COMMAND_ORDER = Code(
     effect="Nothing is run.",
     remedy="Write the command first: unbend run mission.yaml.",
 )
+COMMAND_PATH = Code(
+    "COMMAND-PATH",
+    means="A path in the command line is longer than a path of this system can be.",
+    effect="Nothing is run.",
+    remedy="Check whether the shell pasted other text into the path.",
+)
 RUN_ARGUMENTS = Code(
     "RUN-ARGUMENTS",
     means="Options of `run` that cannot be combined.",
@@ -57,6 +63,17 @@ def command_not_first(*, word: str, line: str) -> ConfigError:
         remedy="write: {line}",
         word=word,
         line=line,
+    )
+
+
+def path_too_long(*, path: str) -> ConfigError:
+    """The system cannot look for a path of the command line."""
+    return ConfigError(
+        COMMAND_PATH,
+        "a path of {length} characters: it or a name in it is too long",
+        where=path,
+        remedy="give the path of an existing file or folder",
+        length=len(path),
     )
 
 
