@@ -1,6 +1,7 @@
 """Missions whose log has no UTC, or one that is not certain: dates, seasons and sigmas."""
 
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -10,6 +11,7 @@ from tests.helpers import codes_of, entry_of, one_line
 from tests.stages.corrected_rows import shift
 from tests.stages.dataflash_records import records, write_value
 from unbend.flight.station_builder import ClockSigmas
+from unbend.ingest.flight_log import SecondClock
 from unbend.stages.stations import clock_sigmas
 
 
@@ -103,27 +105,35 @@ def test_a_stated_date_is_evidence_and_is_compared(mission, unbend, date, week, 
 
 
 @pytest.mark.parametrize(
-    ("events_log", "position", "sigmas"),
+    ("exposures", "position", "sigmas"),
     [
-        ({}, "POS", (0.0, 0.0, 0.0)),
-        (None, "POS", (5.0, 5.0, 5.0)),
-        ({}, "track.csv", (5.0, 0.0, 0.0)),
-        (None, "track.csv", (0.0, 5.0, 5.0)),
+        ("CAM", "POS", (0.0, 0.0, 0.0)),
+        (None, "POS", (4.0, 4.0, 4.0)),
+        ("CAM", "track.csv", (4.0, 0.0, 0.0)),
+        (None, "track.csv", (0.0, 4.0, 4.0)),
+        ("/image", "POS", (3.0, 3.0, 3.0)),
+        ("/image", "track.csv", (5.0, 3.0, 3.0)),
+        ("/image", "/fix", (0.0, 3.0, 3.0)),
+        ("CAM", "/fix", (3.0, 0.0, 0.0)),
+        (None, "/fix", (5.0, 4.0, 4.0)),
     ],
 )
-def test_between_the_clock_of_the_log_and_utc_is_its_sigma(events_log, position, sigmas):
-    pos = SimpleNamespace(name="POS")
-    gps = SimpleNamespace(name="GPS[0]")
-    att = SimpleNamespace(name="ATT")
+def test_between_two_clocks_is_their_sigma(exposures, position, sigmas):
+    """UTC is 4 s from the clock of the log, and this 3 s from the clock of the stamps."""
+    names = ["POS", "GPS[0]", "ATT", "CAM", "/image", "/fix"]
+    channels = {name: Mock(rank=1) for name in [*names, "track.csv"]}
+    for name, channel in channels.items():
+        channel.name = name
+    second_clock = SecondClock(frozenset({"/image", "/fix"}), 3.0)
     flight = SimpleNamespace(
-        log=SimpleNamespace(utc_sigma_s=5.0),
-        channels=[pos, gps, att],
+        log=SimpleNamespace(utc_sigma_s=4.0, second_clock=second_clock),
+        channels=tuple(channels[name] for name in names),
     )
     roles = {
-        "position": SimpleNamespace(name=position),
-        "height": gps,
-        "attitude": att,
+        "position": channels[position],
+        "height": channels["GPS[0]"],
+        "attitude": channels["ATT"],
     }
-    events = SimpleNamespace(log=events_log)
-    mission = SimpleNamespace(events=events)
-    assert clock_sigmas(mission, flight, roles) == ClockSigmas(*sigmas)
+    log = None if exposures is None else {"nadir": SimpleNamespace(channel=exposures)}
+    mission = SimpleNamespace(events=SimpleNamespace(log=log))
+    assert clock_sigmas(mission, flight, "nadir", roles) == ClockSigmas(*sigmas)

@@ -20,6 +20,18 @@ SIMILAR_NAMES = 3  # most names that the refusal of an unknown name suggests
 LEAST_SIMILARITY = 0.5  # of a suggested name, by difflib: half of the letters
 
 
+@dataclass(frozen=True)
+class SecondClock:
+    """A clock of a computer, in a log whose other times are of the vehicle's clock.
+
+    channels : names of the channels with times of this clock.
+    sigma_s : of its difference from the UTC of the vehicle's clock [s].
+    """
+
+    channels: frozenset[str]
+    sigma_s: float
+
+
 @dataclass(frozen=True, eq=False)
 class Contents:
     """The result of reading a file of one format.
@@ -34,6 +46,7 @@ class Contents:
     parameters : the settings of the vehicle as last logged.
     utc_sigma_s : sigma of its UTC [s], NaN where unknown.
     clocks : how good each clock of the log is.
+    second_clock : the other clock of the log, None if all times are of one.
     recorded_ns : when it was recorded, by the recorder's clock [Unix ns]; None where unknown.
     unread_encodings : the encodings of messages that are not read, each with one of its topics.
     """
@@ -48,6 +61,7 @@ class Contents:
     parameters: Mapping[str, float] = field(default_factory=dict)
     utc_sigma_s: float = float("nan")
     clocks: tuple[ClockAssessment, ...] = ()
+    second_clock: SecondClock | None = None
     recorded_ns: int | None = None
     unread_encodings: Mapping[str, str] = field(default_factory=dict)
 

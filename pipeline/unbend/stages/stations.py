@@ -1,5 +1,6 @@
 """The stations of a mission: one row for each exposure, matched to the images."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -123,7 +124,7 @@ class StationBuilder:
             heights=flight.heights,
             accuracy=flight.accuracy,
             max_gap_s=mission.max_gap_s,
-            clocks=clock_sigmas(mission, flight, roles),
+            clocks=clock_sigmas(mission, flight, camera, roles),
         )
 
     def stations(self, events: Events) -> Stations:
@@ -155,24 +156,41 @@ class StationBuilder:
         return self.stations(Events(self.camera, stations.image, time_ns))
 
 
-def clock_sigmas(mission: Mission, flight: FlightLog, roles: Mapping[str, Channel]) -> ClockSigmas:
+def clock_sigmas(
+    mission: Mission, flight: FlightLog, camera: str, roles: Mapping[str, Channel]
+) -> ClockSigmas:
     """How well the clock of a camera's exposures agrees with those of the channels in ``roles``.
 
-    There are two clocks: that of the log, for its exposures and channels, and UTC, for exposures of
-    tables and files and for channels of trajectories. Between the two clocks the sigma is that of
-    the log's UTC (0 if unknown); on the same clock it is 0.
+    There are up to three clocks: UTC, for exposures of tables and files and for channels of
+    trajectories; that of the log; and a second clock that a log may have (`SecondClock`). On the
+    same clock the sigma is 0. Between UTC and the log it is that of the log's UTC (0 if unknown).
     """
-    if flight.log is None or mission.events is None:
+    log = flight.log
+    if log is None or mission.events is None:
         return ONE_CLOCK
-    events_in_log = mission.events.log is not None
     logged = {channel.name for channel in flight.channels}
-    utc_sigma_s = float(np.nan_to_num(flight.log.utc_sigma_s))
+    second = log.second_clock
+    # UTC is tied to the log's clock, and this to the second: the sigmas of these two steps.
+    steps_s = (float(np.nan_to_num(log.utc_sigma_s)), second.sigma_s if second else 0.0)
+
+    def clock_of(channel: Channel) -> int:
+        """0: UTC, 1: the clock of the log, 2: its second clock."""
+        if channel.name not in logged:
+            return 0
+        return 2 if second and channel.name in second.channels else 1
+
+    clock_of_exposures = 0
+    if mission.events.log is not None:
+        source = mission.events.log[camera]
+        clock_of_exposures = clock_of(
+            exposures.choose_event_channel(flight.channels, source.channel)
+        )
 
     def sigma_s(role: str) -> float:
-        channel = roles.get(role)
-        if channel is None or (channel.name in logged) == events_in_log:
-            return 0.0  # no channel, or on the same clock as the exposures
-        return utc_sigma_s
+        if role not in roles:
+            return 0.0
+        first, last = sorted((clock_of_exposures, clock_of(roles[role])))
+        return math.hypot(*steps_s[first:last])
 
     return ClockSigmas(sigma_s("position"), sigma_s("height"), sigma_s("attitude"))
 

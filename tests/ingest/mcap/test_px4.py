@@ -215,3 +215,37 @@ def test_the_number_of_a_gimbal_names_a_channel_only_where_there_are_several(
         recording.send("GimbalDeviceAttitudeStatus", boot_ns, START + k * STEP, **gimbal)
     names = [channel.name for channel in opened(recording.data).channels]
     assert names == [f"/fmu/out/GimbalDeviceAttitudeStatus{ending}" for ending in endings]
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, -1.5, 0.8])
+def test_a_second_clock_is_measured_by_the_recorder(opened, ahead_s):
+    """Images with header.stamp of a computer, next to PX4's poses: recorded 43 ms late."""
+    recording = Recording()
+    recording.flight()
+    for k in range(40):
+        utc_ns = START + k * STEP
+        stamp_ns = utc_ns + int(ahead_s * SECOND)
+        recording.write("/image", "sensor_msgs/CompressedImage", stamp_ns, utc_ns + 43_000_000)
+    log = opened(recording.data)
+    assert log.second_clock.channels == {"/image"}
+    seems_s = ahead_s - 0.04
+    assert log.second_clock.sigma_s == pytest.approx(np.hypot(seems_s, 0.1), abs=1e-6)
+    entry = entry_in(log, "TIME-TWO-CLOCKS")
+    assert (entry.kind, entry.where) == ("fallback", "/image")
+    assert f"seems {seems_s:+.2f} s ahead" in entry.what
+
+
+def test_a_second_clock_that_no_recorder_sees_is_unchecked(opened):
+    recording = Recording(has_clock=False)
+    recording.flight()
+    recording.write("/image", "sensor_msgs/CompressedImage", START, 0)
+    assert opened(recording.data).second_clock.sigma_s == 5.0
+
+
+def test_stamps_of_one_clock_have_no_second(opened):
+    recording = Recording()
+    recording.flight()
+    recording.shot(70 * SECOND, START + 10 * SECOND, 1)
+    log = opened(recording.data)
+    assert log.second_clock is None
+    assert not with_code(log.ledger, "TIME-TWO-CLOCKS")

@@ -16,6 +16,11 @@ from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.mcap import messages, topics
 from unbend.ingest.mcap.mcap_reader import McapReader
 from unbend.ingest.mcap.record_layout import MAGIC
+from unbend.ingest.mcap.second_clock import (
+    report_second_clock,
+    second_clock_ahead_s,
+    second_clock_of,
+)
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, times_of
 from unbend.ingest.mcap.topic_samples import TopicSamples
 from unbend.ingest.message_tables import PLACE, Table, in_order
@@ -42,21 +47,33 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
     for topic in reader.topics.values():
         series += topic.named_series()
     make_names_unique(series)
-    clock = boot_clock_of(line, series, reader.recorder_readings(), ledger, witnesses)
+    recorder = reader.recorder_readings()
+    clock = boot_clock_of(line, series, recorder, ledger, witnesses)
     reader.release_topics()
     channels = []
+    stamped: list[Channel] = []
+    recorded_late_ns: list[list[int]] = []
     unstamped = 0
     while series:  # memory of samples is released when their channel is made
         samples = series.pop(0)
+        counts_from_boot = samples.counts_from_boot()
+        if not counts_from_boot:
+            recorded_late_ns.append(samples.recorded_late_ns)
         rows, unstamped_rows = samples.rows(clock, ledger)
         unstamped += unstamped_rows
         for part in split_by_feedback(rows, ledger):
             channel = channel_of(part, samples.spec, ledger)
             if channel is not None:
                 channels.append(channel)
-    counts_from_boot = clock.line.boot.size > 0  # the line is of messages with such a time only
-    if not counts_from_boot:
+                if not counts_from_boot:
+                    stamped.append(channel)
+    second_clock = None
+    if recorder is None:  # no message counts from a boot
         compare_with_recorder(channels, reader.recorded_ns, ledger)
+    else:
+        difference_s = second_clock_ahead_s(recorded_late_ns, recorder, clock)
+        second_clock = second_clock_of(stamped, difference_s)
+        report_second_clock(second_clock, channels, difference_s, ledger)
     return Contents(
         messages=reader.counts.by_name(reader.names),
         channels=tuple(channels),
@@ -67,6 +84,7 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
         table=partial(_table, path, clock),
         utc_sigma_s=clock.sigma_s,
         clocks=clock.assessments,
+        second_clock=second_clock,
         recorded_ns=reader.recorded_ns,
         unread_encodings=reader.unread_encodings,
     )

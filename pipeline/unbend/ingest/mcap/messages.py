@@ -570,6 +570,35 @@ def set_by_log_time(*, boot: int, count: int, sigma_s: float) -> Message:
     )
 
 
+TIME_TWO_CLOCKS = Code(
+    "TIME-TWO-CLOCKS",
+    means=(
+        "A log has channels with times of the vehicle's clock and channels with times of a "
+        "computer's clock. The recorder's times show how far the clocks differ."
+    ),
+    effect=(
+        "Times are not changed. The sigma of the difference is in the sigmas of stations that are "
+        "made of channels of both clocks."
+    ),
+    remedy=(
+        "Let the computer and the vehicle use one clock (PX4: UXRCE_DDS_SYNCT), or use exposures "
+        "of the vehicle's clock."
+    ),
+)
+
+
+def two_clocks(*, channels: Sequence[str], ahead_s: float | None, sigma_s: float) -> Message:
+    """Some channels for stations have times of a computer's clock, others of the vehicle's."""
+    measured = "" if ahead_s is None else f", which seems {ahead_s:+.2f} s ahead of the vehicle's"
+    return fallback(
+        TIME_TWO_CLOCKS,
+        "the times are of a computer's clock{measured}; sigma of the difference {sigma_s:.2f} s",
+        where=", ".join(channels),
+        measured=measured,
+        sigma_s=sigma_s,
+    )
+
+
 def messages_without_stamp(*, topic: str, count: int) -> Message:
     """Messages have no time of their own."""
     return fallback(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from unbend.flight.channels import Source, TimeArray
+from unbend.flight.clock import UNIX_NS_FROM
 from unbend.ingest.attitude import earth_frame_attitude, ned_frd_of_enu_flu, replace_in_blocks
 from unbend.ingest.boot_clock import BootClock
 from unbend.ingest.buffers import ColumnStore
@@ -153,6 +154,8 @@ class TopicSamples:
     sequence : the recorder's numbers of the messages, only if not ``from_integer``.
     log_ns : the first row of each block with messages without a stamp, and the recorder's times of
         all messages of the block.
+    recorded_late_ns : of each block with Unix time, how long after its stamp the recorder got the
+        message that was quickest [ns].
     utc_us : UTC that the messages have in another field than their own time.
     labels : texts that belong to events, by the names of `LABELS`.
     """
@@ -165,6 +168,7 @@ class TopicSamples:
     places: ColumnStore = field(default_factory=_int64_store)
     sequence: ColumnStore = field(default_factory=_uint32_store)
     log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
+    recorded_late_ns: list[int] = field(default_factory=list)
     utc_us: ColumnStore = field(default_factory=_int64_store)
     labels: dict[str, list[str]] = field(default_factory=dict)
 
@@ -180,6 +184,10 @@ class TopicSamples:
             self.places.add(columns[PLACE])
         else:
             self.sequence.add(columns[SEQUENCE])
+        with_utc = (columns[STAMP] > UNIX_NS_FROM) & (columns[LOG_TIME] > UNIX_NS_FROM)
+        if bool(with_utc.any()):
+            late_ns = columns[LOG_TIME][with_utc] - columns[STAMP][with_utc]
+            self.recorded_late_ns.append(int(late_ns.min()))
         some_without_stamp = bool((columns[STAMP] == 0).any())
         if some_without_stamp:
             self.log_ns.append((rows_before, columns[LOG_TIME]))
@@ -209,6 +217,10 @@ class TopicSamples:
             else:
                 continue
             self.labels.setdefault(name, [""] * rows_before).extend(texts)
+
+    def counts_from_boot(self) -> bool:
+        """Whether any of the messages has a time since boot."""
+        return self.from_integer and bool(since_boot(_copied(self.stamp_ns)).any())
 
     def stamps(self, line: Timeline) -> tuple[Integers, TimeArray]:
         """Places and times since boot [ns] of the messages that have one, without stray stamps."""
