@@ -61,6 +61,16 @@ def test_a_file_that_was_written_to_since(exported):
         refuse_marked(exported)
 
 
+@pytest.mark.parametrize(("listed", "other"), [("images.bin", "txt"), ("images.txt", "bin")])
+def test_a_model_of_colmap_in_its_other_form_keeps_its_mark(tmp_path, listed, other):
+    exported = tmp_path / listed
+    exported.write_text("1 2 3")
+    (tmp_path / f"{listed}.unbend.json").write_text(sidecar_text({listed: exported}, {}))
+    exported.rename(tmp_path / f"images.{other}").write_text("the same, written by COLMAP")
+    with refused("OBS-MARK-CHANGED"):
+        refuse_marked(tmp_path)
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"files": [{"name": "a"}]}', '{"files": 3}'])
 def test_a_damaged_sidecar_says_nothing_and_nothing_passes(exported, text):
     (exported / "tracks.csv.unbend.json").write_text(text)

@@ -26,6 +26,8 @@ REFRACTION_APPLIED = b"applied"
 SIDECAR = ".unbend.json"
 MARK_TABLE = "unbend"  # of a database, with columns key and value; one row is the mark
 _SQLITE = b"SQLite format 3\0"
+# The same observations under another name: COLMAP writes a model in a binary form or as text.
+_OTHER_FORMS = {"images.bin": "images.txt", "images.txt": "images.bin"}
 
 
 def sidecar_text(files: Mapping[str, Path], about: Mapping[str, Any]) -> str:
@@ -49,7 +51,7 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
     - OBS-ALREADY-CORRECTED: a database with the mark, or a file with a content that a sidecar in
       its folder lists, under any name;
     - OBS-MARK-CHANGED: a file with a name that a sidecar lists, but with another content. Another
-      program has changed or replaced it;
+      program has changed or replaced it, or has written it in its other form (`_OTHER_FORMS`);
     - OBS-MARK-UNREADABLE: any file in a folder with a sidecar that cannot be read.
 
     Files are hashed only if there is a sidecar. Marks of Parquet and CSV: `refuse_marked_table`.
@@ -83,11 +85,14 @@ def _marked_files(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
     for sidecar in sorted(sidecars):
         try:
             for item in json.loads(sidecar.read_text(encoding="utf-8"))["files"]:
-                sidecar_of_name[str(item["name"])] = sidecar
+                name = str(item["name"])
+                sidecar_of_name[name] = sidecar
+                if name in _OTHER_FORMS:
+                    sidecar_of_name.setdefault(_OTHER_FORMS[name], sidecar)
                 sidecar_of_hash[str(item["sha256"])] = sidecar
         except (OSError, ValueError, KeyError, TypeError) as error:
-            name = type(error).__name__
-            raise messages.sidecar_unreadable(where=sidecar, name=name) from None
+            error_name = type(error).__name__
+            raise messages.sidecar_unreadable(where=sidecar, name=error_name) from None
     return sidecar_of_name, sidecar_of_hash
 
 
