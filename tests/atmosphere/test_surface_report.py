@@ -192,6 +192,7 @@ def test_numbers_that_no_ground_has(values, code):
         "LOWW 1150Z 33009KT CAVOK 06/02 Q1026": "1150Z is not a day",
         "TAF LOWW 121115Z 1212/1318 33009KT CAVOK TX14/1214Z Q1026": "forecast",
         "LOWW 121150Z 06/02 Q1026\nTAF LOWW 1212/1318 33009KT CAVOK": "forecast",
+        "LOWW 121100Z 1212/1318 33009KT CAVOK QNH2992INS": "forecast",
         "AAXX 12121 11035 42565 83309 10058 20022 39996 40260": "SYNOP",
         "March 12, 2015 LOWW 121150Z 33009KT CAVOK 06/02 Q1026": "is not a date",
         "2015-13-12 LOWW 121150Z 33009KT CAVOK 06/02 Q1026": "is not a date",

@@ -761,6 +761,7 @@ ORIENTATIONS = yaml.safe_load("""
 - ['{angles: quaternion, frame: ecef}', 'convergence_deg is for frame: geographic']
 - ['frame: projected', projected needs crs]
 - ['date: 14.5.2026', not a date like]
+- ['columns: {omega: o, x: e}', 'columns has omega, x, which']
 - ['columns: {time_utc: t}', 'either date, or the columns of time']
 - ['columns: {gps_week: t}', both gps_week and gps_seconds]
 - ['camera: forward', "names camera 'forward'"]

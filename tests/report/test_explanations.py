@@ -61,7 +61,12 @@ def test_a_value_is_explained_by_the_keys_that_take_it():
     lines = explain("omega_phi_kappa")
     assert lines[:3] == ["omega_phi_kappa (value of keys)", "", "stations.orientation.angles"]
     assert "turns vectors of the photo (x right, y up, z backward) to the frame" in lines[3]
-    assert "ground.reference" in explain("relative")
+    for value, key in [
+        ("relative", "ground.reference"),
+        ("right up", "cameras.*.metric.axes"),
+        ("case", "observations.match_names"),
+    ]:
+        assert key in explain(value)
 
 
 def test_every_status_is_found():

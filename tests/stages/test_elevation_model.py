@@ -86,6 +86,12 @@ def test_heights_and_corrections_are_those_of_the_points(mission, modelled, by_p
     assert entry_of(manifest, "DEM-READ")["count"] == 1
 
 
+def test_a_model_above_all_cameras_is_said_to_be_above_them(mission, modelled):
+    modelled(lambda z: 0.0 * z + 8000.0)
+    flagged = entry_of(mission.run_to_manifest(3), "PLAUSIBLE-FLAGGED")
+    assert "the ground is above the camera (ground.height" in flagged["what"]
+
+
 def test_tiles_in_any_order_are_one_model(mission, modelled, by_points):
     modelled(columns=slice(397, CELLS), name="tile0.tif")
     modelled(columns=slice(0, 401), name="tile1.tif")

@@ -30,7 +30,13 @@ _STATION_AND_TIME = re.compile(r"(?<!\S)([A-Z][A-Z0-9]{3}) (?:COR )?(\d{6})(?=Z(
 _STATION_AND_TIME_WITHOUT_Z = re.compile(r"(?<!\S)([A-Z][A-Z0-9]{3}) (?:COR )?(\d{6})(?!\S)")
 _ANY_STAMP = re.compile(r"(?<!\S)\d{6}Z(?!\S)")
 _NO_STAMP = re.compile(r"(?<!\S)\d+Z(?!\S)")
-_OTHER_REPORTS = {"TAF": "a TAF, a forecast", "AAXX": "a SYNOP", "BBXX": "a SYNOP of a ship"}
+_OTHER_REPORTS = {
+    "TAF": "a TAF, a forecast",
+    r"\d{4}/\d{4}": "the time from which to which a forecast is valid",
+    "AAXX": "a SYNOP",
+    "BBXX": "a SYNOP of a ship",
+}
+"""Patterns of groups that no METAR has, and what they are."""
 _YEAR_FIRST = re.compile(
     r"(?<!\d)(?P<year>(?:19|20)\d\d)(?P<parted>[-/.]?)(?P<month>\d\d)(?P=parted)(?P<day>\d\d)"
 )

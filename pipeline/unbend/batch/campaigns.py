@@ -206,7 +206,7 @@ def refuse_foreign_page(output: Path) -> None:
     """Refuse (STORAGE-NOT-OURS) to replace a page or table that unbend did not write."""
     foreign = foreign_pages(output)
     if foreign:
-        raise messages.files_not_ours(path=str(output), results=foreign)
+        raise messages.pages_not_ours(path=str(output), pages=foreign)
 
 
 def foreign_pages(output: Path) -> list[str]:

@@ -145,10 +145,9 @@ STORAGE_LOCK = Code(
 )
 STORAGE_NOT_OURS = Code(
     "STORAGE-NOT-OURS",
-    means="Files in the output folder would be replaced, and no manifest shows that unbend wrote "
-    "them.",
+    means="Files in the output folder would be replaced, and nothing shows that unbend wrote them.",
     effect="The mission, or the campaign, is not run (exit code 5).",
-    remedy="Choose another output.path, or remove these files.",
+    remedy="Choose another output.path or campaign.output, or remove these files.",
 )
 STORAGE_SYMLINK = Code(
     "STORAGE-SYMLINK",
@@ -249,6 +248,17 @@ def files_not_ours(*, path: str, results: Sequence[str]) -> StorageError:
         where=path,
         remedy="choose another output.path for the results, or remove these files",
         results=", ".join(results),
+    )
+
+
+def pages_not_ours(*, path: str, pages: Sequence[str]) -> StorageError:
+    """Files are named like page and table of a campaign, and unbend did not write them."""
+    return StorageError(
+        STORAGE_NOT_OURS,
+        "{pages} would be replaced, but unbend did not write that",
+        where=path,
+        remedy="choose another campaign.output, or remove these files",
+        pages=" and ".join(pages),
     )
 
 

@@ -150,7 +150,7 @@ def report(
         Path | None, Option(help="the file to write; by default NAME-report.html or .pdf, here")
     ] = None,
     *,
-    pdf: Annotated[bool, Option("--pdf", help="print it with Chromium or Chrome")] = False,
+    pdf: Annotated[bool, Option("--pdf", help="print it with Chromium, Chrome or Edge")] = False,
     browser: Annotated[
         str | None, Option(help="the browser for printing, a name or a path", metavar="PROGRAM")
     ] = None,

@@ -425,3 +425,14 @@ class OrientationSection(Section):
         if self.has_clock and self.date is not None:
             raise SectionError("give either date, or the columns of time")
         return self
+
+    @model_validator(mode="after")
+    def _check_columns(self) -> Self:
+        """Every column that is named is read, so that none is a mistake in frame or angles."""
+        unread = sorted(self.columns.named.keys() - self.column_names.keys())
+        if unread:
+            raise SectionError(
+                f"columns has {', '.join(unread)}, which this frame and these angles do not take: "
+                f"they take {', '.join(self.column_names)}"
+            )
+        return self

@@ -190,13 +190,14 @@ def _value_lines(word: str) -> list[str]:
 def _values_of(key: MissionKey) -> list[str]:
     """The words that a key allows as values; other values, such as a number, are left out.
 
-    >>> (key,) = [key for key in mission_keys() if key.path == "ground.reference"]
+    >>> (key,) = [key for key in mission_keys() if key.path == "observations.match_names"]
     >>> _values_of(key)
-    ['msl', 'ellipsoid', 'relative']
+    ['case', 'extension', 'folder', 'digits']
     """
     values = []
-    for value in re.split(r" \| | or ", key.allowed):
-        if " " not in value:
+    for value in re.split(r" \| | or ", key.allowed.removeprefix("a list of ")):
+        is_description = value.startswith(("a ", "an ")) or "," in value
+        if not is_description:
             values.append(value)
     return values
 

@@ -840,7 +840,7 @@ def columns_repeated(*, where: Path | str, twice: str) -> InputError:
 OBS_REPEATED_POINT = Code(
     "OBS-REPEATED-POINT",
     means=(
-        "Points occur twice in an image. If a table has more than 200,000 rows, only some points "
+        "Points occur twice in an image. In tables of 400,000 rows and more, only some points "
         "are checked."
     ),
     effect="Both rows are corrected; at most one is the measurement.",

@@ -595,6 +595,7 @@ def test_a_time_that_is_not_stated_is_unknown(text):
         "noon",
         "2025-06-12",  # a date without its hour
         "20250612",
+        "2025-W24-4",
     ],
 )
 def test_a_time_that_is_stated_and_cannot_be_read_is_refused(text):

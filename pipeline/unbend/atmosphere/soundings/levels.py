@@ -253,7 +253,7 @@ def _stated_degrees(text: str) -> float:
     return math.nan if value in FILLS or value in _UNKNOWN_DEG else value
 
 
-_WITHOUT_HOUR = re.compile(r"\d{4}-?\d\d-?\d\d")
+_WITHOUT_HOUR = re.compile(r"\d{4}-?\d\d-?\d\d|\d{4}-?W\d\d(?:-?\d)?")
 
 
 def first_stated(fields: Iterable[str]) -> str:

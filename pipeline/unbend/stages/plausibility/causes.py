@@ -15,6 +15,8 @@ from unbend.stages.plausibility.facts import Facts
 from unbend.units import Array, Integers, Mask
 
 EARTH_RADIUS_M = 6.371e6
+STEEP_RAD = np.radians(86.0)
+"""Rays with a smaller nadir angle point below the horizon, whose dip is 3.9 deg from 15 km."""
 
 KEYS_OF_STATIONS = {
     "unmatched": "image under events, observations.columns.image",
@@ -111,23 +113,30 @@ def cause_of_misses(facts: Facts, ray_hint: str) -> str:
     ``ray_hint`` : what to check for rays above the horizon.
     """
     rows = facts.rows.status == MISSES_GROUND
-    ground_above_camera_m = (facts.rows.h_g_m - facts.camera_height_m)[rows]
+    camera_height_m = facts.camera_height_m[rows]
+    ground_above_camera_m = facts.rows.h_g_m[rows] - camera_height_m
     nadir_angle_rad = facts.nadir_angle_rad[rows]
-    ground_is_below = ground_above_camera_m < 0.0
+    # An elevation model gives no height for a ray that does not meet it. A steep ray misses it
+    # only if it is above the camera.
+    is_unknown = np.isnan(ground_above_camera_m)
+    ground_is_above = ground_above_camera_m >= 0.0
+    ground_is_above |= is_unknown & (nadir_angle_rad < STEEP_RAD)
     causes = []
-    if not ground_is_below.all():
-        too_high_m = ground_above_camera_m[~ground_is_below]
-        highest_m = np.max(too_high_m)
+    if ground_is_above.any():
+        known_m = ground_above_camera_m[ground_is_above & ~is_unknown]
+        by_how_much = f"up to {known_m.max():.0f} m " if known_m.size else ""
         causes.append(
-            f"the ground is up to {highest_m:.0f} m above the camera "
-            "(ground.height, ground.reference)"
+            f"the ground is {by_how_much}above the camera (ground.height, ground.reference)"
         )
-    if ground_is_below.any():
+    if not ground_is_above.all():
         # Distance of the camera from the centre of a sphere through the ground.
-        camera_radius_m = EARTH_RADIUS_M - ground_above_camera_m[ground_is_below]
+        above_ground_m = np.where(
+            is_unknown, np.maximum(camera_height_m, 0.0), -ground_above_camera_m
+        )[~ground_is_above]
+        camera_radius_m = EARTH_RADIUS_M + above_ground_m
         dip_of_horizon_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)
-        # The horizon is 90 deg less its dip from the nadir.
-        above_horizon_deg = np.degrees(nadir_angle_rad[ground_is_below] + dip_of_horizon_rad) - 90.0
+        horizon_rad = np.pi / 2.0 - dip_of_horizon_rad
+        above_horizon_deg = np.degrees(nadir_angle_rad[~ground_is_above] - horizon_rad)
         highest_deg = np.nanmax(above_horizon_deg)
         causes.append(f"rays point up to {highest_deg:.1f} deg above the horizon ({ray_hint})")
     return "; ".join(causes)

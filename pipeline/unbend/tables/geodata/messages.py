@@ -238,7 +238,7 @@ def crs_vertical_stated(
         name=name,
         these=these,
         heights=heights,
-        remedy="{named}: state {these}, or a system without heights",
+        remedy="state {these} as their reference, or in {named} a system without heights",
     )
 
 
