@@ -221,8 +221,8 @@ def summary(before: Table, after: Table, airs: Table) -> str:
         adjusted += airs[f"adjusted {h}"]
     lines += [
         "",
-        f"US 1976 leaves {percent(standard)} % of the error at 3 to 9 km,"
-        f" the air that the aircraft measured {percent(adjusted)} %.",
+        f"Of the third row's error, US 1976 leaves {percent(standard)} % at 3 to 9 km, the air that"
+        f" the aircraft measured {percent(adjusted)} %.",
     ]
     return "\n".join(lines)
 

@@ -336,7 +336,8 @@ def test_sigmas_are_honest(name, times):
         within_one, within_two = shares(of_modes)
         # Of 54 flights good to 0.06.
         assert 0.55 <= within_one <= (0.80 if times > 1 else 0.85), airs[0].name
-        assert within_two >= 0.92, airs[0].name
+        # Of 30 flights one sigma of this share is 4 %; of 240 flights it was 97 % in the extremes.
+        assert within_two >= (0.92 if times > 1 else 0.85), airs[0].name
     # Of 42 flights, one sigma of these shares is 7 and 3 %; of 14, twice as much.
     least, most = (0.50, 0.90) if times > 1 else (0.40, 1.0)
     for mode, departures in zip(MODES, np.hstack(of_airs), strict=True):

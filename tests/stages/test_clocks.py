@@ -6,6 +6,7 @@ from unittest.mock import Mock
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
 from tests.helpers import codes_of, entry_of, one_line
 from tests.stages.corrected_rows import shift
@@ -104,27 +105,27 @@ def test_a_stated_date_is_evidence_and_is_compared(mission, unbend, date, week, 
     assert words in one_line(ended.text)
 
 
-@pytest.mark.parametrize(
-    ("exposures", "position", "sigmas"),
-    [
-        ("CAM", "POS", (0.0, 0.0, 0.0)),
-        (None, "POS", (4.0, 4.0, 4.0)),
-        ("CAM", "track.csv", (4.0, 0.0, 0.0)),
-        (None, "track.csv", (0.0, 4.0, 4.0)),
-        ("/image", "POS", (3.0, 3.0, 3.0)),
-        ("/image", "track.csv", (5.0, 3.0, 3.0)),
-        ("/image", "/fix", (0.0, 3.0, 3.0)),
-        ("CAM", "/fix", (3.0, 0.0, 0.0)),
-        (None, "/fix", (5.0, 4.0, 4.0)),
-    ],
-)
+CLOCKS = yaml.safe_load("""
+- [CAM, POS, [0, 0, 0]]
+- [null, POS, [4, 4, 4]]
+- [CAM, track.csv, [4, 0, 0]]
+- [null, track.csv, [0, 4, 4]]
+- [/image, POS, [3, 3, 3]]
+- [/image, track.csv, [5, 3, 3]]
+- [/image, /fix, [0, 3, 3]]
+- [CAM, /fix, [3, 0, 0]]
+- [null, /fix, [5, 4, 4]]
+""")
+
+
+@pytest.mark.parametrize(("exposures", "position", "sigmas"), CLOCKS)
 def test_between_two_clocks_is_their_sigma(exposures, position, sigmas):
     """UTC is 4 s from the clock of the log, and this 3 s from the clock of the stamps."""
     names = ["POS", "GPS[0]", "ATT", "CAM", "/image", "/fix"]
     channels = {name: Mock(rank=1) for name in [*names, "track.csv"]}
     for name, channel in channels.items():
         channel.name = name
-    second_clock = SecondClock(frozenset({"/image", "/fix"}), 3.0)
+    second_clock = SecondClock(frozenset({"/image", "/fix"}), ahead_s=0.0, sigma_s=3.0)
     flight = SimpleNamespace(
         log=SimpleNamespace(utc_sigma_s=4.0, second_clock=second_clock),
         channels=tuple(channels[name] for name in names),

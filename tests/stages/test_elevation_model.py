@@ -88,7 +88,7 @@ def test_heights_and_corrections_are_those_of_the_points(mission, modelled, by_p
 
 def test_a_model_above_all_cameras_is_said_to_be_above_them(mission, modelled):
     modelled(lambda z: 0.0 * z + 8000.0)
-    flagged = entry_of(mission.run_to_manifest(3), "PLAUSIBLE-FLAGGED")
+    flagged = entry_of(mission.run_to_manifest(3), "OBS-FLAGGED")
     assert "the ground is above the camera (ground.height" in flagged["what"]
 
 

@@ -32,7 +32,7 @@ _ANY_STAMP = re.compile(r"(?<!\S)\d{6}Z(?!\S)")
 _NO_STAMP = re.compile(r"(?<!\S)\d+Z(?!\S)")
 _OTHER_REPORTS = {
     "TAF": "a TAF, a forecast",
-    r"\d{4}/\d{4}": "the time from which to which a forecast is valid",
+    r"\d{4}/\d{4}": "the period of a forecast",
     "AAXX": "a SYNOP",
     "BBXX": "a SYNOP of a ship",
 }

@@ -25,10 +25,12 @@ class SecondClock:
     """A clock of a computer, in a log whose other times are of the vehicle's clock.
 
     channels : names of the channels with times of this clock.
-    sigma_s : of its difference from the UTC of the vehicle's clock [s].
+    ahead_s : by how much it seems to be ahead of UTC by the vehicle's clock [s]; NaN if unknown.
+    sigma_s : standard deviation of the difference of the two clocks [s].
     """
 
     channels: frozenset[str]
+    ahead_s: float
     sigma_s: float
 
 

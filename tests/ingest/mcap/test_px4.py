@@ -227,7 +227,7 @@ def test_a_second_clock_is_measured_by_the_recorder(opened, ahead_s):
         stamp_ns = utc_ns + int(ahead_s * SECOND)
         recording.write("/image", "sensor_msgs/CompressedImage", stamp_ns, utc_ns + 43_000_000)
     log = opened(recording.data)
-    assert log.second_clock.channels == {"/image"}
+    assert log.second_clock.channels == {"/image", "/image.sent"}
     seems_s = ahead_s - 0.04
     assert log.second_clock.sigma_s == pytest.approx(np.hypot(seems_s, 0.1), abs=1e-6)
     entry = entry_in(log, "TIME-TWO-CLOCKS")

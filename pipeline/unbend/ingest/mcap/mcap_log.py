@@ -16,11 +16,7 @@ from unbend.ingest.flight_log import Contents, LogFormat
 from unbend.ingest.mcap import messages, topics
 from unbend.ingest.mcap.mcap_reader import McapReader
 from unbend.ingest.mcap.record_layout import MAGIC
-from unbend.ingest.mcap.second_clock import (
-    report_second_clock,
-    second_clock_ahead_s,
-    second_clock_of,
-)
+from unbend.ingest.mcap.second_clock import report_second_clock, second_clock_of
 from unbend.ingest.mcap.stamps import LOG_TIME, SEQUENCE, STAMP, times_of
 from unbend.ingest.mcap.topic_samples import TopicSamples
 from unbend.ingest.message_tables import PLACE, Table, in_order
@@ -50,30 +46,21 @@ def read_log(path: Path, ledger: Ledger, witnesses: Sequence[Witness] = ()) -> C
     recorder = reader.recorder_readings()
     clock = boot_clock_of(line, series, recorder, ledger, witnesses)
     reader.release_topics()
+    second_clock = second_clock_of(series, recorder, clock)
     channels = []
-    stamped: list[Channel] = []
-    recorded_late_ns: list[list[int]] = []
     unstamped = 0
     while series:  # memory of samples is released when their channel is made
         samples = series.pop(0)
-        counts_from_boot = samples.counts_from_boot()
-        if not counts_from_boot:
-            recorded_late_ns.append(samples.recorded_late_ns)
         rows, unstamped_rows = samples.rows(clock, ledger)
         unstamped += unstamped_rows
         for part in split_by_feedback(rows, ledger):
             channel = channel_of(part, samples.spec, ledger)
             if channel is not None:
                 channels.append(channel)
-                if not counts_from_boot:
-                    stamped.append(channel)
-    second_clock = None
     if recorder is None:  # no message counts from a boot
         compare_with_recorder(channels, reader.recorded_ns, ledger)
-    else:
-        difference_s = second_clock_ahead_s(recorded_late_ns, recorder, clock)
-        second_clock = second_clock_of(stamped, difference_s)
-        report_second_clock(second_clock, channels, difference_s, ledger)
+    if second_clock is not None:
+        report_second_clock(second_clock, channels, ledger)
     return Contents(
         messages=reader.counts.by_name(reader.names),
         channels=tuple(channels),

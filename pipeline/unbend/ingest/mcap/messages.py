@@ -1,5 +1,6 @@
 """Messages of the reader of MCAP logs: codes, and a function for each message and refusal."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -587,9 +588,14 @@ TIME_TWO_CLOCKS = Code(
 )
 
 
-def two_clocks(*, channels: Sequence[str], ahead_s: float | None, sigma_s: float) -> Message:
-    """Some channels for stations have times of a computer's clock, others of the vehicle's."""
-    measured = "" if ahead_s is None else f", which seems {ahead_s:+.2f} s ahead of the vehicle's"
+def two_clocks(*, channels: Sequence[str], ahead_s: float, sigma_s: float) -> Message:
+    """Some channels for stations have times of a computer's clock, others of the vehicle's.
+
+    ``ahead_s``: by how much the computer's clock seems to be ahead, NaN if unknown.
+    """
+    measured = f", which seems {ahead_s:+.2f} s ahead of the vehicle's"
+    if math.isnan(ahead_s):
+        measured = ""
     return fallback(
         TIME_TWO_CLOCKS,
         "the times are of a computer's clock{measured}; sigma of the difference {sigma_s:.2f} s",

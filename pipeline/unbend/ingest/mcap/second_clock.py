@@ -12,8 +12,10 @@ import numpy as np
 
 from unbend.flight.channels import Channel
 from unbend.ingest.boot_clock import BootClock
+from unbend.ingest.channel_builder import SENT
 from unbend.ingest.flight_log import SecondClock
 from unbend.ingest.mcap import messages
+from unbend.ingest.mcap.topic_samples import TopicSamples
 from unbend.ingest.utc_evidence import UNCHECKED_SIGMA_S
 from unbend.ingest.utc_readings import UtcReadings
 from unbend.messages import Ledger
@@ -26,51 +28,60 @@ TRANSPORT_SIGMA_S = 0.1
 ROLES_OF_STATIONS = {"position", "height", "attitude", "aircraft_attitude", "events"}
 
 
-def second_clock_ahead_s(
-    recorded_late_ns: Sequence[Sequence[int]], recorder: UtcReadings, clock: BootClock
-) -> float | None:
-    """How far the clock of the stamps is ahead of UTC by the vehicle's clock [s]; None if unknown.
+def second_clock_of(
+    series: Sequence[TopicSamples], recorder: UtcReadings | None, clock: BootClock
+) -> SecondClock | None:
+    """The clock of the stamps of a log in which other messages count from a boot.
 
-    ``recorded_late_ns``: for each topic with stamps, by how much the recorder's time of its
-    messages is later [ns], block by block. ``recorder``: the recorder's time of messages with a
-    time since boot.
+    None if all times are of one clock. ``recorder``: the recorder's times of messages with a time
+    since boot, None without such messages. The stamps are not corrected by the difference of the
+    clocks, because a part of it is the transport to the recorder: it counts as sigma.
     """
-    late_of_topics_ns = [np.median(blocks) for blocks in recorded_late_ns if blocks]
+    stamped = [samples for samples in series if not samples.counts_from_boot()]
+    if recorder is None or not stamped:
+        return None
+    names = {samples.name for samples in stamped}
+    names |= {f"{name}{SENT}" for name in names}  # of trigger commands, which become a channel
+    ahead_s = _ahead_s(stamped, recorder, clock)
+    sigma_s = math.hypot(ahead_s, TRANSPORT_SIGMA_S)
+    if math.isnan(ahead_s):
+        sigma_s = UNCHECKED_SIGMA_S
+    return SecondClock(channels=frozenset(names), ahead_s=ahead_s, sigma_s=sigma_s)
+
+
+def _ahead_s(stamped: Sequence[TopicSamples], recorder: UtcReadings, clock: BootClock) -> float:
+    """By how much the clock of the stamps seems ahead of UTC by the vehicle's clock [s], or NaN.
+
+    It is the difference of how much later than its time a message is recorded: the median of the
+    vehicle's messages, less that of the topic with the quickest messages.
+    """
     has_utc = np.array([fit is not None for fit in clock.fits], np.bool_)
     usable = recorder.usable & has_utc[clock.line.boot_of(recorder.places)]
-    if not late_of_topics_ns or not bool(usable.any()):
-        return None
+    late_of_topics_ns = []
+    for samples in stamped:
+        if samples.recorded_late_ns:
+            late_of_topics_ns.append(np.median(samples.recorded_late_ns))
+    if not late_of_topics_ns or not usable.any():
+        return math.nan
     utc_ns = clock.utc(recorder.places[usable], recorder.boot_ns[usable])
     late_of_vehicle_ns = np.median(recorder.utc_ns[usable] - utc_ns)
     return float(late_of_vehicle_ns - min(late_of_topics_ns)) / NANOSECONDS_PER_SECOND
 
 
-def second_clock_of(stamped: Sequence[Channel], ahead_s: float | None) -> SecondClock | None:
-    """The clock of the channels with stamps; None without such channels.
-
-    ``ahead_s``: how far it is ahead of the vehicle's clock, None if unknown. Times are not
-    corrected by it, because a part of it is the transport to the recorder: it counts as sigma.
-    """
-    if not stamped:
-        return None
-    sigma_s = UNCHECKED_SIGMA_S if ahead_s is None else math.hypot(ahead_s, TRANSPORT_SIGMA_S)
-    return SecondClock(frozenset(channel.name for channel in stamped), sigma_s)
-
-
 def report_second_clock(
-    second_clock: SecondClock | None,
-    channels: Sequence[Channel],
-    ahead_s: float | None,
-    ledger: Ledger,
+    second_clock: SecondClock, channels: Sequence[Channel], ledger: Ledger
 ) -> None:
     """Enter a second clock in the ledger, if stations may be made of channels of both clocks."""
-    if second_clock is None:
-        return
     for_stations = {
         channel.name for channel in channels if not ROLES_OF_STATIONS.isdisjoint(channel.roles)
     }
     of_computer = sorted(for_stations & second_clock.channels)
-    if of_computer and for_stations - second_clock.channels:
+    of_vehicle = for_stations - second_clock.channels
+    if of_computer and of_vehicle:
         ledger.add(
-            messages.two_clocks(channels=of_computer, ahead_s=ahead_s, sigma_s=second_clock.sigma_s)
+            messages.two_clocks(
+                channels=of_computer,
+                ahead_s=second_clock.ahead_s,
+                sigma_s=second_clock.sigma_s,
+            )
         )
