@@ -14,7 +14,7 @@ from unbend.ingest.timelines import Silences, Timeline, place_of_boot
 from unbend.ingest.utc_evidence import ClockAssessment, Witness, date_text
 from unbend.ingest.utc_readings import DateCheck, UtcReadings, possible_recorder
 from unbend.messages import Ledger
-from unbend.units import Integers, Mask
+from unbend.units import NANOSECONDS_PER_SECOND, Integers, Mask
 
 RECORDER_APART_S = 60.0  # a recorder set by a network is seconds off, one set by hand may be hours
 _BLOCK = 65_536  # rows of the running median at once
@@ -284,7 +284,10 @@ class _BootSources:
             return self._utc_by(used, is_known=True, sigma_s=self._sigma_s(used))
         if self.recorded:
             used = self.recorded[0]
-            return self._utc_by(used, is_known=False, sigma_s=used.sigma_s)
+            # A clock that was set during the flight: no row shows which part of its time is right.
+            spread_s = used.fit.spread_ns / NANOSECONDS_PER_SECOND
+            sigma_s = max(used.sigma_s, spread_s)
+            return self._utc_by(used, is_known=False, sigma_s=sigma_s)
         return _without_utc(self.place)
 
     def _utc_by(self, used: _FittedSource, *, is_known: bool, sigma_s: float) -> BootUtc:

@@ -181,8 +181,8 @@ def set_by_host_clock(
         TIME_HOST_CLOCK,
         (
             "no SYSTEM_TIME with UTC: the clock is set by the stamps of {messages}, which come "
-            "from the ground station: UTC is accurate to {sigma_s:.0f} s (1 sigma), although they "
-            "agree within {spread_ms:.0f} ms (p5 to p95)"
+            "from the ground station: UTC is accurate to {sigma_s:.0f} s (1 sigma); the stamps "
+            "scatter by {spread_ms:.0f} ms (p5 to p95)"
         ),
         where=f"{sender}, boot {boot}",
         count=count,
