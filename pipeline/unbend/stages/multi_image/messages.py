@@ -272,6 +272,36 @@ def orientation_reading(
     )
 
 
+ORIENTATION_OUTLIER = Code(
+    "ORIENTATION-OUTLIER",
+    means=(
+        "Most rays of one or of few images miss the rays of the other images to the same points: "
+        "the position or the attitude of the image is wrong."
+    ),
+    effect="The image is corrected with this orientation. The run ends with exit code 3.",
+    remedy=(
+        "Correct the image in the file, or remove it. An image that has its points in common with "
+        "a wrong one may be counted too."
+    ),
+)
+
+
+def images_misplaced(*, where: str, count: int, image: str, bad: int, rays: int) -> Message:
+    """``count`` images do not fit the others; of the worst, ``bad`` of ``rays`` rays miss."""
+    return finding(
+        ORIENTATION_OUTLIER,
+        "{count} images do not fit the others, first {image}: {bad} of its {rays} rays miss those "
+        "of other images to the same points",
+        one="the image {image} does not fit the others: {bad} of its {rays} rays miss those of "
+        "other images to the same points",
+        where=where,
+        count=count,
+        image=image,
+        bad=bad,
+        rays=rays,
+    )
+
+
 BLOCK_CAMERA = Code(
     "BLOCK-CAMERA",
     means="Images of the block belong to a camera that the mission file does not define.",

@@ -26,6 +26,7 @@ from unbend.stages.multi_image.block_frames import (
     orientation_table,
     section_of_block,
 )
+from unbend.stages.multi_image.misplaced_images import misplaced_images
 from unbend.stages.multi_image.other_readings import (
     UNSTATED,
     StationsReading,
@@ -108,6 +109,7 @@ def oriented_stations(
         return stations
     readings = other_readings(section, table, reader)
     refuse_other_reading(stations, readings, rays, where=section.path)
+    ledger.extend(misplaced_images(stations, rays, where=str(section.path)))
     return stations
 
 
