@@ -609,12 +609,13 @@ def ties_of(ledger_of):
 
 
 @pytest.mark.parametrize("cameras", ["nadir", "nadir oblique"])
-def test_the_true_orientation_lets_tie_points_meet(true_table, ties_of, cameras):
+def test_the_true_orientation_lets_tie_points_meet(true_table, ties_of, ledger_of, cameras):
     is_used = true_table["camera"].isin(cameras.split())
 
     ties = ties_of(true_table[is_used])
 
     assert ties.kind == "note"
+    assert "ORIENTATION-OUTLIER" not in ledger_of(true_table[is_used])
     (distance_px,) = re.findall(r"by ([0-9.]+) px", ties.what)
     assert float(distance_px) < 0.5
     assert ties.count > 100
@@ -639,6 +640,16 @@ def test_tie_points_tell_another_reading_of_nadir_images(true_table, ties_of, re
     changed = evaluated(nadir, READINGS[reading])
     with refused("ORIENTATION-READING", what=reading):
         ties_of(changed)
+
+
+@pytest.mark.parametrize("off_m", [-300.0, 50.0, 3000.0])
+def test_one_wrong_height_is_of_its_image_and_not_of_feet(true_table, ledger_of, off_m):
+    table = true_table[true_table["camera"] == "nadir"].reset_index(drop=True)
+    table.loc[10, "height"] += off_m
+    outlier = ledger_of(table)["ORIENTATION-OUTLIER"]
+    assert outlier.kind == "finding"
+    assert outlier.values["image"] == table["image"][10]
+    assert outlier.count == 1
 
 
 def test_heights_in_feet_are_corrected_in_the_file(true_table, ties_of):

@@ -552,6 +552,7 @@ def about_reference(
     *,
     flown_m=FLOWN_M,
     ground_m=0.0,
+    in_lens_pa=LABORATORY_PA,
     windows=None,
     width_px=8000,
 ):
@@ -565,7 +566,7 @@ def about_reference(
     )
     flown = stations(
         flown_m,
-        cabin_pressure_pa=LABORATORY_PA,
+        cabin_pressure_pa=in_lens_pa,
         cabin_temperature_k=293.15,
         cabin_vapour_pressure_pa=0.0,
     )
@@ -624,4 +625,6 @@ def test_a_reference_is_air_of_the_ground(reference_pa, flown_m, ground_m, is_sa
 def test_a_reference_does_not_matter_in_a_cabin_of_its_air_or_in_a_small_image():
     cabin = Window(Cabin("log"))
     assert about_reference(windows={"nadir": cabin}) == []
+    opening = Window(Cabin("opening", warmer_k=10.0, excess_pa=0.0), shape="spherical")
+    assert about_reference(windows={"nadir": opening}, in_lens_pa=FLOWN_PA) != []
     assert about_reference(flown_m=500.0, width_px=4000) == []  # 17 ppm of 2500 px

@@ -406,6 +406,7 @@ def test_the_kind_of_a_window_at_850_and_at_600_hectopascal(window, kinds):
 
 NO_SIGMA = {
     "tilt_rad": [np.nan, np.nan],
+    "height_m": [np.nan, np.nan],
     "sigma_m": None,
     "sigma_column": None,
     "cabin": [[np.nan, np.nan]],
@@ -419,6 +420,7 @@ NO_SIGMA = {
         ({}, False),
         ({"tilt_rad": [0.001, np.nan]}, True),
         ({"tilt_rad": [np.nan, 0.001]}, False),  # of a station that is not ok
+        ({"height_m": [0.1, np.nan]}, True),
         ({"sigma_m": 5.0}, True),
         ({"sigma_column": "sigma_h"}, True),
         ({"cabin": [[np.nan, 1.0]]}, True),
@@ -431,6 +433,7 @@ def test_one_sigma_is_enough_to_compute_with(changed, is_known):
     mission = SimpleNamespace(ground=values)
     sigmas = SimpleNamespace(
         tilt_rad=np.array(values.tilt_rad),
+        height_m=np.array(values.height_m),
         cabin=np.array(values.cabin),
     )
     kinds = np.array(values.kinds)

@@ -132,7 +132,10 @@ class ImageRays:
 
     def of_points(self, points: Integers) -> ImageRays:
         """The rays of some points, by the numbers of these."""
-        keep = np.isin(self.point, points)
+        return self.rows(np.isin(self.point, points))
+
+    def rows(self, keep: Mask) -> ImageRays:
+        """The rays that a mask (r,) selects."""
         height_m = None
         if self.height_m is not None:
             height_m = self.height_m[keep]

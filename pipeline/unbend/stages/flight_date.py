@@ -37,6 +37,7 @@ def flight_date_ns(mission: Mission, stations: Stations, ledger: Ledger) -> int 
     if stated_ns is not None and abs(flown_ns - stated_ns) > FARTHEST_FROM_DATE_NS:
         ledger.add(
             messages.date_contradicted(
+                where=key_of_date(mission),
                 stated=str(np.datetime64(stated_ns, "ns").astype("datetime64[D]")),
                 flown=str(np.datetime64(flown_ns, "ns").astype("datetime64[D]")),
             )

@@ -616,12 +616,12 @@ DATE_CONTRADICTED = Code(
 )
 
 
-def date_contradicted(*, stated: str, flown: str) -> Message:
-    """A stated date is more than a day and a half from the exposures."""
+def date_contradicted(*, where: str, stated: str, flown: str) -> Message:
+    """A stated date, under the key ``where``, is more than a day and a half from the exposures."""
     return warning(
         DATE_CONTRADICTED,
         "the mission file states {stated}, but the exposures are of {flown}, which is used",
-        where="mission.date",
+        where=where,
         stated=stated,
         flown=flown,
     )

@@ -97,10 +97,12 @@ def has_any_sigma(
 ) -> bool:
     """Whether any standard deviation but that of the air is known.
 
-    That is of attitudes, ground heights, the air in a cabin or, by its window, of its pressure.
+    That is of attitudes, heights of stations, ground heights, the air in a cabin or, by its window,
+    of its pressure.
     """
-    if bool(np.isfinite(sigmas.tilt_rad[stations.ok]).any()):
-        return True
+    for of_stations in (sigmas.tilt_rad, sigmas.height_m):
+        if bool(np.isfinite(of_stations[stations.ok]).any()):
+            return True
     if mission.ground.sigma_m is not None or mission.ground.sigma_column is not None:
         return True
     has_cabin = sigmas.cabin is not None and bool(np.isfinite(sigmas.cabin).any())

@@ -279,26 +279,22 @@ ORIENTATION_OUTLIER = Code(
         "the position or the attitude of the image is wrong."
     ),
     effect="The image is corrected with this orientation. The run ends with exit code 3.",
-    remedy=(
-        "Correct the image in the file, or remove it. An image that has its points in common with "
-        "a wrong one may be counted too."
-    ),
+    remedy=("Correct the image in the file, or remove it."),
 )
 
 
-def images_misplaced(*, where: str, count: int, image: str, bad: int, rays: int) -> Message:
-    """``count`` images do not fit the others; of the worst, ``bad`` of ``rays`` rays miss."""
+def images_misplaced(*, where: str, count: int, image: str, bad_percent: float) -> Message:
+    """``count`` images do not fit the others; of the worst one most rays miss."""
     return finding(
         ORIENTATION_OUTLIER,
-        "{count} images do not fit the others, first {image}: {bad} of its {rays} rays miss those "
+        "{count} images do not fit the others, the worst is {image}: {bad_percent:.0f} % of its "
+        "rays miss those of other images to the same points",
+        one="the image {image} does not fit the others: {bad_percent:.0f} % of its rays miss those "
         "of other images to the same points",
-        one="the image {image} does not fit the others: {bad} of its {rays} rays miss those of "
-        "other images to the same points",
         where=where,
         count=count,
         image=image,
-        bad=bad,
-        rays=rays,
+        bad_percent=bad_percent,
     )
 
 

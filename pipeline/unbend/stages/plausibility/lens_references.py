@@ -38,7 +38,7 @@ def lens_references(facts: Facts) -> Iterator[Message]:
         if calibration == "laboratory":
             continue
         window = mission.windows.get(name)
-        in_cabin = window is not None and window.cabin is not None
+        in_cabin = window is not None and window.cabin is not None and not window.is_opening
         if in_cabin and not is_laboratory(lens):
             continue  # the pressure of a cabin says nothing of the flying height
         change_ppm = lens_change_ppm(name, mission, facts.stations, facts.adjustment.profile)
