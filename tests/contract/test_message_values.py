@@ -43,7 +43,10 @@ MAKERS = {f"{maker.__module__}.{maker.__name__}": maker for maker in makers()}
 
 
 def distinct_arguments(maker: Callable[..., Any]):
-    """A value for each argument by its annotation, no two alike; None where one is an object."""
+    """A value for each parameter by its annotation; numbers and texts all differ.
+
+    None in place of the arguments if a parameter has another annotation, such as a class of ours.
+    """
     if maker.__name__ in NOT_TRIED:
         return None
     arguments = {}
@@ -119,7 +122,10 @@ def words_after(count, text):
 
 
 def text_for(maker, count):
-    """What is said of so many things: of a count, or of sequences that are counted."""
+    """The text of a message whose ``count`` is this number, and whose lists have so many elements.
+
+    Empty if the maker makes no message.
+    """
     arguments = distinct_arguments(maker)
     for name, argument in arguments.items():
         if name == "count":

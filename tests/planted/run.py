@@ -176,7 +176,10 @@ def listed_bugs(arguments: argparse.Namespace) -> list[Bug]:
 
 
 def refuse_failing_tests(copy: Copy, bugs: list[Bug]) -> None:
-    """Run the tests of every room without a bug: in a broken copy every bug would be noticed."""
+    """End the program if the tests of a room fail without a bug.
+
+    In a broken copy every bug would seem noticed.
+    """
     tests_of_room: dict[str, set[str]] = defaultdict(set)
     for bug in bugs:
         tests_of_room[bug.room].update(bug.tests, bug.nearest)
@@ -190,7 +193,10 @@ def refuse_failing_tests(copy: Copy, bugs: list[Bug]) -> None:
 
 
 def print_table(results: list[tuple[Bug, Ended]], *, drawn: bool) -> bool:
-    """How many were noticed, by room and of all; whether these are enough."""
+    """Print how many bugs of each room and of all were noticed; return if no share is too small.
+
+    A bug that could not be tried counts as not noticed.
+    """
     rooms: dict[str, list[bool]] = defaultdict(list)
     for bug, ended in results:
         rooms[bug.room].append(ended.noticed is True)
@@ -232,10 +238,10 @@ def main():
         for number in range(arguments.jobs):
             parent = Path(folder) / str(number)
             parent.mkdir()
-            copy = Copy(parent)
-            copies.put(copy)
+            newest = Copy(parent)
+            copies.put(newest)
         if not arguments.no_baseline:
-            refuse_failing_tests(copy, bugs)
+            refuse_failing_tests(newest, bugs)
 
         def try_in_a_copy(bug: Bug) -> Ended:
             copy = copies.get()
@@ -252,7 +258,7 @@ def main():
                     f"{where}: {OUTCOMES[ended.noticed]}{ended.by} ({ended.seconds:.0f} s)",
                     flush=True,
                 )
-    is_enough = print_table(results, drawn=arguments.drawn is not None)
+    is_enough = print_table(results, drawn=bool(arguments.drawn))
     raise SystemExit(0 if is_enough else 1)
 
 

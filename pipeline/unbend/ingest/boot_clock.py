@@ -284,7 +284,8 @@ class _BootSources:
             return self._utc_by(used, is_known=True, sigma_s=self._sigma_s(used))
         if self.recorded:
             used = self.recorded[0]
-            # A clock that was set during the flight: no row shows which part of its time is right.
+            # If the recorder's clock was set during the flight, no row shows whether it was right
+            # before or after: the sigma is at least the spread of its rows.
             spread_s = used.fit.spread_ns / NANOSECONDS_PER_SECOND
             sigma_s = max(used.sigma_s, spread_s)
             return self._utc_by(used, is_known=False, sigma_s=sigma_s)

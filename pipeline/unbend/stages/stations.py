@@ -161,36 +161,37 @@ def clock_sigmas(
 ) -> ClockSigmas:
     """How well the clock of a camera's exposures agrees with those of the channels in ``roles``.
 
-    There are up to three clocks: UTC, for exposures of tables and files and for channels of
-    trajectories; that of the log; and a second clock that a log may have (`SecondClock`). On the
-    same clock the sigma is 0. Between UTC and the log it is that of the log's UTC (0 if unknown).
+    The clocks form a chain with a sigma for each step: UTC (of exposures of tables and files, and
+    of trajectories), the clock of the log, and a second clock that a log may have (`SecondClock`).
+    Between two clocks the sigma is that of all steps between them, on one clock it is 0. The sigma
+    of the log's UTC counts as 0 if it is unknown.
     """
     log = flight.log
     if log is None or mission.events is None:
         return ONE_CLOCK
     logged = {channel.name for channel in flight.channels}
-    second = log.second_clock
-    # UTC is tied to the log's clock, and this to the second: the sigmas of these two steps.
-    steps_s = (float(np.nan_to_num(log.utc_sigma_s)), second.sigma_s if second else 0.0)
+    second_clock = log.second_clock
+    from_utc_to_log_s = float(np.nan_to_num(log.utc_sigma_s))
+    from_log_to_second_s = second_clock.sigma_s if second_clock else 0.0
+    sigma_of_steps_s = (from_utc_to_log_s, from_log_to_second_s)
 
     def clock_of(channel: Channel) -> int:
-        """0: UTC, 1: the clock of the log, 2: its second clock."""
+        """The place in the chain. 0: UTC, 1: the clock of the log, 2: its second clock."""
         if channel.name not in logged:
             return 0
-        return 2 if second and channel.name in second.channels else 1
+        return 2 if second_clock and channel.name in second_clock.channels else 1
 
     clock_of_exposures = 0
     if mission.events.log is not None:
         source = mission.events.log[camera]
-        clock_of_exposures = clock_of(
-            exposures.choose_event_channel(flight.channels, source.channel)
-        )
+        event_channel = exposures.choose_event_channel(flight.channels, source.channel)
+        clock_of_exposures = clock_of(event_channel)
 
     def sigma_s(role: str) -> float:
         if role not in roles:
             return 0.0
         first, last = sorted((clock_of_exposures, clock_of(roles[role])))
-        return math.hypot(*steps_s[first:last])
+        return math.hypot(*sigma_of_steps_s[first:last])
 
     return ClockSigmas(sigma_s("position"), sigma_s("height"), sigma_s("attitude"))
 

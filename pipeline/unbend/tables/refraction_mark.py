@@ -77,6 +77,7 @@ def refuse_marked(path: Path, direction: Direction = "remove") -> None:
 def _marked_files(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
     """The sidecars in a folder, by the names and by the SHA-256 of the files that they list.
 
+    A file of `_OTHER_FORMS` is found by the name of its other form too.
     Refuses (OBS-MARK-UNREADABLE) a sidecar that cannot be read.
     """
     sidecar_of_name = {}

@@ -31,41 +31,44 @@ ROLES_OF_STATIONS = {"position", "height", "attitude", "aircraft_attitude", "eve
 def second_clock_of(
     series: Sequence[TopicSamples], recorder: UtcReadings | None, clock: BootClock
 ) -> SecondClock | None:
-    """The clock of the stamps of a log in which other messages count from a boot.
+    """The second clock of a log: that of the topics which have no time since boot.
 
-    None if all times are of one clock. ``recorder``: the recorder's times of messages with a time
-    since boot, None without such messages. The stamps are not corrected by the difference of the
-    clocks, because a part of it is the transport to the recorder: it counts as sigma.
+    None if all times are of one clock: without such a topic, or without any message that has a time
+    since boot (``recorder`` is then None; else it is the recorder's time of such messages). The
+    times are not corrected by the difference of the clocks, because a part of it is the transport
+    to the recorder: it counts as sigma.
     """
-    stamped = [samples for samples in series if not samples.counts_from_boot()]
-    if recorder is None or not stamped:
+    of_computer = [samples for samples in series if not samples.counts_from_boot()]
+    if recorder is None or not of_computer:
         return None
-    names = {samples.name for samples in stamped}
-    names |= {f"{name}{SENT}" for name in names}  # of trigger commands, which become a channel
-    ahead_s = _ahead_s(stamped, recorder, clock)
-    sigma_s = math.hypot(ahead_s, TRANSPORT_SIGMA_S)
-    if math.isnan(ahead_s):
-        sigma_s = UNCHECKED_SIGMA_S
+    names = {samples.name for samples in of_computer}
+    names |= {f"{name}{SENT}" for name in names}  # `split_by_feedback` may add this to any of them
+    ahead_s = _ahead_s(of_computer, recorder, clock)
+    is_unknown = math.isnan(ahead_s)
+    sigma_s = UNCHECKED_SIGMA_S if is_unknown else math.hypot(ahead_s, TRANSPORT_SIGMA_S)
     return SecondClock(channels=frozenset(names), ahead_s=ahead_s, sigma_s=sigma_s)
 
 
-def _ahead_s(stamped: Sequence[TopicSamples], recorder: UtcReadings, clock: BootClock) -> float:
-    """By how much the clock of the stamps seems ahead of UTC by the vehicle's clock [s], or NaN.
+def _ahead_s(of_computer: Sequence[TopicSamples], recorder: UtcReadings, clock: BootClock) -> float:
+    """By how much the computer's clock seems ahead of UTC by the vehicle's clock [s], or NaN.
 
-    It is the difference of how much later than its time a message is recorded: the median of the
-    vehicle's messages, less that of the topic with the quickest messages.
+    The delay of a message is the recorder's time minus its own: its transport, less what its clock
+    is ahead. So the vehicle's delay minus the computer's is what the computer's clock is ahead. The
+    vehicle's is the median of its messages. The computer's is the least of its topics, each by the
+    median over the quickest message of each block.
     """
+    delays_ns = []
+    for samples in of_computer:
+        if samples.least_delays_ns:
+            delays_ns.append(np.median(samples.least_delays_ns))
     has_utc = np.array([fit is not None for fit in clock.fits], np.bool_)
-    usable = recorder.usable & has_utc[clock.line.boot_of(recorder.places)]
-    late_of_topics_ns = []
-    for samples in stamped:
-        if samples.recorded_late_ns:
-            late_of_topics_ns.append(np.median(samples.recorded_late_ns))
-    if not late_of_topics_ns or not usable.any():
+    is_in_utc = has_utc[clock.line.boot_of(recorder.places)]  # other times are not converted
+    usable = recorder.usable & is_in_utc
+    if not delays_ns or not usable.any():
         return math.nan
     utc_ns = clock.utc(recorder.places[usable], recorder.boot_ns[usable])
-    late_of_vehicle_ns = np.median(recorder.utc_ns[usable] - utc_ns)
-    return float(late_of_vehicle_ns - min(late_of_topics_ns)) / NANOSECONDS_PER_SECOND
+    delay_of_vehicle_ns = np.median(recorder.utc_ns[usable] - utc_ns)
+    return float(delay_of_vehicle_ns - min(delays_ns)) / NANOSECONDS_PER_SECOND
 
 
 def report_second_clock(

@@ -154,8 +154,8 @@ class TopicSamples:
     sequence : the recorder's numbers of the messages, only if not ``from_integer``.
     log_ns : the first row of each block with messages without a stamp, and the recorder's times of
         all messages of the block.
-    recorded_late_ns : of each block with Unix time, how long after its stamp the recorder got the
-        message that was quickest [ns].
+    least_delays_ns : of each block with Unix time, the delay [ns] of the quickest message: the
+        recorder's time minus its stamp.
     utc_us : UTC that the messages have in another field than their own time.
     labels : texts that belong to events, by the names of `LABELS`.
     """
@@ -168,7 +168,7 @@ class TopicSamples:
     places: ColumnStore = field(default_factory=_int64_store)
     sequence: ColumnStore = field(default_factory=_uint32_store)
     log_ns: list[tuple[int, TimeArray]] = field(default_factory=list)
-    recorded_late_ns: list[int] = field(default_factory=list)
+    least_delays_ns: list[int] = field(default_factory=list)
     utc_us: ColumnStore = field(default_factory=_int64_store)
     labels: dict[str, list[str]] = field(default_factory=dict)
 
@@ -186,8 +186,8 @@ class TopicSamples:
             self.sequence.add(columns[SEQUENCE])
         with_utc = (columns[STAMP] > UNIX_NS_FROM) & (columns[LOG_TIME] > UNIX_NS_FROM)
         if bool(with_utc.any()):
-            late_ns = columns[LOG_TIME][with_utc] - columns[STAMP][with_utc]
-            self.recorded_late_ns.append(int(late_ns.min()))
+            delay_ns = columns[LOG_TIME][with_utc] - columns[STAMP][with_utc]
+            self.least_delays_ns.append(int(delay_ns.min()))
         some_without_stamp = bool((columns[STAMP] == 0).any())
         if some_without_stamp:
             self.log_ns.append((rows_before, columns[LOG_TIME]))

@@ -13,40 +13,50 @@ from unbend.units import Array
 
 LEAST_RAYS = 6  # of an image: fewer may be wrong tie points
 LEAST_BAD_SHARE = 0.8  # of the rays of an image; of wrong tie points it is some per cent
-MOST_IMAGES_SHARE = 0.5  # with more images the whole block is wrong, not single ones
-MOST_IMAGES = 10  # that are looked for, each by an intersection of all rays
+MOST_IMAGES_SHARE = 0.5  # of the images with rays
+MOST_IMAGES = 20  # each costs an intersection of all rays
 
 
 def misplaced_images(stations: Stations, rays: ImageRays, *, where: str) -> Iterator[Message]:
-    """A finding if most rays of single images miss those of the others (ORIENTATION-OUTLIER).
+    """One finding for the images of which most rays miss those of the others (ORIENTATION-OUTLIER).
 
-    ``rays`` : of tie points. ``where`` : the file of the orientations. The worst image is left out
-    before the next one is looked for: the rays of its neighbours miss only those of the worst.
+    It names the worst one. None if more than half of the images are such: the whole block is then
+    wrong, or two images contradict each other. A wrong image makes rays of its neighbours seem
+    wrong too. So the worst is left out before the next one is looked for, up to `MOST_IMAGES`.
+    ``rays`` : of tie points. ``where`` : the file of the orientations.
     """
     shares = bad_shares(stations, rays)
-    if np.mean(shares >= LEAST_BAD_SHARE) > MOST_IMAGES_SHARE:
+    judged_shares = shares[np.isfinite(shares)]
+    is_misplaced = judged_shares >= LEAST_BAD_SHARE
+    if not is_misplaced.any() or is_misplaced.mean() >= MOST_IMAGES_SHARE:
         return
-    misplaced: list[tuple[str, float]] = []
-    while shares.max() >= LEAST_BAD_SHARE and len(misplaced) < MOST_IMAGES:
-        worst = int(np.argmax(shares))
-        misplaced.append((str(stations.image[worst]), float(shares[worst])))
-        rays = rays.rows(rays.image != worst)
+    worst = int(np.nanargmax(shares))
+    image = str(stations.image[worst])
+    bad_percent = 100.0 * shares[worst]
+    count = 0
+    while np.nanmax(shares, initial=0.0) >= LEAST_BAD_SHARE and count < MOST_IMAGES:
+        count += 1
+        is_of_worst = rays.image == np.nanargmax(shares)
+        rays = rays.rows(~is_of_worst)
         shares = bad_shares(stations, rays)
-    if misplaced:
-        image, share = misplaced[0]
-        yield messages.images_misplaced(
-            where=where, count=len(misplaced), image=image, bad_percent=100.0 * share
-        )
+    yield messages.images_misplaced(
+        where=where,
+        count=count,
+        image=image,
+        bad_percent=float(bad_percent),
+    )
 
 
 def bad_shares(stations: Stations, rays: ImageRays) -> Array:
     """(s,) share of the rays of each image that miss the other rays of their points.
 
-    0 for images with fewer than `LEAST_RAYS` rays or without an orientation.
+    NaN for images with fewer than `LEAST_RAYS` rays or without an orientation.
     """
     is_bad = intersected(stations, rays).bad
     image_count = stations.image.size
     ray_count = np.bincount(rays.image, minlength=image_count)
     bad_count = np.bincount(rays.image, weights=is_bad, minlength=image_count)
     is_judged = stations.ok & (ray_count >= LEAST_RAYS)
-    return np.where(is_judged, bad_count / np.maximum(ray_count, 1), 0.0)
+    shares = np.full(image_count, np.nan)
+    shares[is_judged] = bad_count[is_judged] / ray_count[is_judged]
+    return shares

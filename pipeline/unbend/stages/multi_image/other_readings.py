@@ -138,8 +138,9 @@ def refuse_other_reading(
     """Refuse (ORIENTATION-READING) stations if rays meet far better by another reading.
 
     The best of the ``readings`` has to be 1000 times as likely as what is stated, and its residuals
-    at most twice as large as those of an adjusted block, and not larger than those as stated. If
-    they are larger, as stated only few rays miss: of a wrong image, not of a wrong reading.
+    less than twice as large as those of an adjusted block, and not larger than those as stated.
+    Where they are larger, the stated reading is less likely only by its few bad rays, which are
+    those of a wrong image.
     """
     as_stated = intersected(stations, rays)
     if as_stated.misfit <= LOG_RATIO_NEEDED:  # nothing can be more likely by as much
@@ -153,8 +154,9 @@ def refuse_other_reading(
                 likely = reading
                 best = intersection
     better = best.log_likelihood - as_stated.log_likelihood
-    is_good = best.sigma_factor < GOOD_FACTOR and not best.sigma_factor > as_stated.sigma_factor
-    if likely is not None and better > LOG_RATIO_NEEDED and is_good:
+    is_larger = best.sigma_factor > as_stated.sigma_factor  # False if as stated no rays meet: NaN
+    fits = best.sigma_factor < GOOD_FACTOR and not is_larger
+    if likely is not None and better > LOG_RATIO_NEEDED and fits:
         raise messages.orientation_reading(
             where=where,
             points=int(np.unique(rays.point).size),

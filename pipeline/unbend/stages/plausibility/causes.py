@@ -15,7 +15,7 @@ from unbend.stages.plausibility.facts import Facts
 from unbend.units import Array, Integers, Mask
 
 EARTH_RADIUS_M = 6.371e6
-STEEP_RAD = np.radians(86.0)
+BELOW_HORIZON_RAD = np.radians(86.0)
 """Rays with a smaller nadir angle point below the horizon, whose dip is 3.9 deg from 15 km."""
 
 KEYS_OF_STATIONS = {
@@ -116,11 +116,11 @@ def cause_of_misses(facts: Facts, ray_hint: str) -> str:
     camera_height_m = facts.camera_height_m[rows]
     ground_above_camera_m = facts.rows.h_g_m[rows] - camera_height_m
     nadir_angle_rad = facts.nadir_angle_rad[rows]
-    # An elevation model gives no height for a ray that does not meet it. A steep ray misses it
-    # only if it is above the camera.
+    # An elevation model gives no height of the ground for a ray that misses it. A ray below the
+    # horizon can miss only ground that is above the camera.
     is_unknown = np.isnan(ground_above_camera_m)
     ground_is_above = ground_above_camera_m >= 0.0
-    ground_is_above |= is_unknown & (nadir_angle_rad < STEEP_RAD)
+    ground_is_above |= is_unknown & (nadir_angle_rad < BELOW_HORIZON_RAD)
     causes = []
     if ground_is_above.any():
         known_m = ground_above_camera_m[ground_is_above & ~is_unknown]
@@ -129,7 +129,8 @@ def cause_of_misses(facts: Facts, ray_hint: str) -> str:
             f"the ground is {by_how_much}above the camera (ground.height, ground.reference)"
         )
     if not ground_is_above.all():
-        # Distance of the camera from the centre of a sphere through the ground.
+        # Distance of the camera from the centre of a sphere through the ground, or the sea where
+        # the height of the ground is unknown.
         above_ground_m = np.where(
             is_unknown, np.maximum(camera_height_m, 0.0), -ground_above_camera_m
         )[~ground_is_above]
