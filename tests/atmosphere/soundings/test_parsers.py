@@ -675,6 +675,16 @@ def test_of_two_ascents_in_one_table_the_nearest_in_time(hours, interleaved):
         at_station(text)
 
 
+@pytest.mark.parametrize("levels", [4, 6])
+def test_an_ascent_that_ended_early_is_not_mixed_with_another(levels):
+    early = rows_of(identity=",2025-06-12T11:00:00Z")[:levels]
+    late = rows_of(warmer_k=5.0, identity=",2025-06-12T12:00:00Z")
+    text = table_of([*early, *late], ",time_utc")
+    sounding, notes = at_station(text, "2025-06-12T13:00")
+    assert_allclose(sounding.temperature_k[0], 20.0 + 273.15)
+    assert notes["SOUNDING-CHOSEN"] == 2
+
+
 @pytest.mark.parametrize(
     ("columns", "first", "second"),
     [

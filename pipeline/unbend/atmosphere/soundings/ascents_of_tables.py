@@ -1,6 +1,7 @@
 """The ascents of a table of levels: which rows are of one ascent."""
 
 from collections.abc import Iterable, Sequence
+from itertools import combinations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -17,6 +18,8 @@ same range: 2."""
 LONGEST_STEP_BACK = 0.5
 """Share of the range of all pressures. A longer step from one level to the next, against the
 direction of the others, begins another ascent. A balloon that bursts falls in short steps."""
+
+MOST_ASCENTS = 20  # of a table that are compared one by one
 
 NANOSECONDS_PER_HOUR = 3600 * NANOSECONDS_PER_SECOND
 FEWEST_TO_JUDGE = 6  # levels: two ascents of three
@@ -35,12 +38,35 @@ def columns_of_ascents(
     for name in identity:
         fields = columns.get(name, [])
         groups = rows_by_value(fields)
-        sum_of_ranges = 0.0
-        for rows in groups:
-            sum_of_ranges += range_of(values[rows])
-        if sum_of_ranges > MOST_OVERLAP * range_of(values):
+        pressures = [values[rows] for rows in groups]
+        sum_of_ranges = sum(map(range_of, pressures))
+        repeats_range = sum_of_ranges > MOST_OVERLAP * range_of(values)
+        if repeats_range or two_overlap(pressures):
             return [columns_of_rows(columns, rows) for rows in groups]
     return [dict(columns)]
+
+
+def two_overlap(pressures: Sequence[Array]) -> bool:
+    """Whether two of few groups of levels share more than half of the range of the shorter one.
+
+    So it is if one of two ascents ended early. False for more than `MOST_ASCENTS` groups, such as
+    the minutes of an ascent and a descent. ``pressures`` are those of the levels of each group.
+
+    >>> two_overlap([np.array([950.0, 700.0]), np.array([950.0, 400.0])])
+    True
+    >>> two_overlap([np.array([950.0, 700.0]), np.array([700.0, 400.0])])
+    False
+    """
+    if len(pressures) > MOST_ASCENTS:
+        return False
+    for first, second in combinations(pressures, 2):
+        shorter_range = min(range_of(first), range_of(second))
+        if shorter_range > 0.0:
+            common_low = max(np.nanmin(first), np.nanmin(second))
+            common_high = min(np.nanmax(first), np.nanmax(second))
+            if common_high - common_low > shorter_range / 2.0:
+                return True
+    return False
 
 
 def rows_by_value(fields: Sequence[str]) -> list[list[int]]:
