@@ -23,7 +23,7 @@ memory. GDAL_NUM_THREADS : half of the time of a tile is decompression. The othe
 defaults, stated here because environment variables can change them, and with them the position of
 a raster."""
 
-INDEX_FORMATS = "GTI", "STACIT", "STACTA", "TIL", "VRT", "WCS", "WMS", "WMTS"
+INDEX_FORMATS = "DIMAP", "GTI", "STACIT", "STACTA", "TIL", "VRT", "WCS", "WMS", "WMTS"
 """GDAL's drivers of files that name other rasters: their hash does not show a change of those."""
 
 FIXED_BYTES = 256_000_000
