@@ -226,7 +226,7 @@ def check(
         bool, Option("--verbose", "-v", help="show the notes of the ledger too")
     ] = False,
 ) -> None:
-    """Rehearse `run` on a sample of the rows: its messages and exit code.
+    """Rehearse `run` on a sample: its messages and exit code.
 
     Writes nothing.
     """
