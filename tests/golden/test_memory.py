@@ -12,6 +12,9 @@ from tests.logs import REPOSITORY
 from .conftest import sample_sections, write_mission
 
 ROWS = 10_000_000
+# A million rows end before all parts are at work that are at once: 650 to 730 MB. From here on the
+# peak is 740 to 840 MB, on an idle machine and on a busy one.
+FEW_ROWS = 2_000_000
 
 _RUN = """
 import json, sys
@@ -41,11 +44,9 @@ def peak_of(folder, rows):
 
 
 def test_ten_million_observations_in_a_gigabyte(tmp_path):
-    few_rows, few_peak = peak_of(tmp_path / "few", 1_000_000)
+    few_rows, few_peak = peak_of(tmp_path / "few", FEW_ROWS)
     rows, peak = peak_of(tmp_path / "many", ROWS)
-    assert few_rows == 1_000_000
+    assert few_rows == FEW_ROWS
     assert rows == ROWS
     assert peak < 1e9
-    # On a busy machine more parts wait to be written: 145 MB have been seen, on an idle one 100 MB.
-    # The table itself has 400 MB.
-    assert peak < few_peak + 200e6
+    assert peak < few_peak + 100e6
