@@ -45,6 +45,7 @@ from unbend.stages.multi_image.other_readings import (
     AngleReading,
     AngleRoad,
     StationsReading,
+    intersected,
     refuse_other_reading,
     roads_of_angles,
 )
@@ -365,6 +366,7 @@ def refuse_other_readings_of_imports(
             parts.append(builder.later(of_camera, seconds=0.0))
         return join_stations(parts)
 
+    as_stated = intersected(stations, rays)
     for road in roads:
         readings = [
             StationsReading(
@@ -372,7 +374,7 @@ def refuse_other_readings_of_imports(
             )
             for reading in road.readings
         ]
-        refuse_other_reading(stations, readings, rays, where=road.path)
+        refuse_other_reading(as_stated, readings, rays, where=road.path)
 
 
 def report_repeated_points(observations: Observations, ties: TiePoints, ledger: Ledger) -> None:

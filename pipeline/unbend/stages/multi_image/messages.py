@@ -279,20 +279,26 @@ ORIENTATION_OUTLIER = Code(
         "the position or the attitude of the image is wrong."
     ),
     effect="The image is corrected with this orientation. The run ends with exit code 3.",
-    remedy=("Correct the image in the file, or remove it."),
+    remedy="Correct the image in the file, or remove it.",
 )
 
 
-def images_misplaced(*, where: str, count: int, image: str, bad_percent: float) -> Message:
-    """``count`` images do not fit the others; of the worst one most rays miss."""
+def images_misplaced(
+    *, where: str, count: int, is_all: bool, image: str, bad_percent: float
+) -> Message:
+    """``count`` images do not fit the others; of the worst one most rays miss.
+
+    ``is_all`` : False if the search ended before all were found.
+    """
     return finding(
         ORIENTATION_OUTLIER,
-        "{count} images do not fit the others, the worst is {image}: {bad_percent:.0f} % of its "
-        "rays miss those of other images to the same points",
+        "{at_least}{count} images do not fit the others, the worst is {image}: {bad_percent:.0f} % "
+        "of its rays miss those of other images to the same points",
         one="the image {image} does not fit the others: {bad_percent:.0f} % of its rays miss those "
         "of other images to the same points",
         where=where,
         count=count,
+        at_least="" if is_all else "at least ",
         image=image,
         bad_percent=bad_percent,
     )

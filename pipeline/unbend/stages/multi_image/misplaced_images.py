@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from unbend.block.image_rays import ImageRays
+from unbend.block.intersection import Intersection
 from unbend.flight.stations import Stations
 from unbend.messages import Message
 from unbend.stages.multi_image import messages
@@ -17,15 +18,18 @@ MOST_IMAGES_SHARE = 0.5  # of the images with rays
 MOST_IMAGES = 20  # each costs an intersection of all rays
 
 
-def misplaced_images(stations: Stations, rays: ImageRays, *, where: str) -> Iterator[Message]:
+def misplaced_images(
+    intersection: Intersection, stations: Stations, rays: ImageRays, *, where: str
+) -> Iterator[Message]:
     """One finding for the images of which most rays miss those of the others (ORIENTATION-OUTLIER).
 
     It names the worst one. None if more than half of the images are such: the whole block is then
     wrong, or two images contradict each other. A wrong image makes rays of its neighbours seem
     wrong too. So the worst is left out before the next one is looked for, up to `MOST_IMAGES`.
-    ``rays`` : of tie points. ``where`` : the file of the orientations.
+    ``intersection`` : of ``rays``, which are of tie points, with the ``stations``. ``where`` : the
+    file of the orientations.
     """
-    shares = bad_shares(stations, rays)
+    shares = bad_shares(intersection, stations, rays)
     judged_shares = shares[np.isfinite(shares)]
     is_misplaced = judged_shares >= LEAST_BAD_SHARE
     if not is_misplaced.any() or is_misplaced.mean() >= MOST_IMAGES_SHARE:
@@ -38,24 +42,24 @@ def misplaced_images(stations: Stations, rays: ImageRays, *, where: str) -> Iter
         count += 1
         is_of_worst = rays.image == np.nanargmax(shares)
         rays = rays.rows(~is_of_worst)
-        shares = bad_shares(stations, rays)
+        shares = bad_shares(intersected(stations, rays), stations, rays)
     yield messages.images_misplaced(
         where=where,
         count=count,
+        is_all=count < MOST_IMAGES,
         image=image,
         bad_percent=float(bad_percent),
     )
 
 
-def bad_shares(stations: Stations, rays: ImageRays) -> Array:
+def bad_shares(intersection: Intersection, stations: Stations, rays: ImageRays) -> Array:
     """(s,) share of the rays of each image that miss the other rays of their points.
 
     NaN for images with fewer than `LEAST_RAYS` rays or without an orientation.
     """
-    is_bad = intersected(stations, rays).bad
     image_count = stations.image.size
     ray_count = np.bincount(rays.image, minlength=image_count)
-    bad_count = np.bincount(rays.image, weights=is_bad, minlength=image_count)
+    bad_count = np.bincount(rays.image, weights=intersection.bad, minlength=image_count)
     is_judged = stations.ok & (ray_count >= LEAST_RAYS)
     shares = np.full(image_count, np.nan)
     shares[is_judged] = bad_count[is_judged] / ray_count[is_judged]

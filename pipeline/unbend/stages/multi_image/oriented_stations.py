@@ -30,6 +30,7 @@ from unbend.stages.multi_image.misplaced_images import misplaced_images
 from unbend.stages.multi_image.other_readings import (
     UNSTATED,
     StationsReading,
+    intersected,
     readings_of_angles,
     refuse_other_reading,
 )
@@ -108,8 +109,9 @@ def oriented_stations(
         ledger.extend(unit_of_angles(section, table, stations))
         return stations
     readings = other_readings(section, table, reader)
-    refuse_other_reading(stations, readings, rays, where=section.path)
-    ledger.extend(misplaced_images(stations, rays, where=str(section.path)))
+    as_stated = intersected(stations, rays)
+    refuse_other_reading(as_stated, readings, rays, where=section.path)
+    ledger.extend(misplaced_images(as_stated, stations, rays, where=str(section.path)))
     return stations
 
 

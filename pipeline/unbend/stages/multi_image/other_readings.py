@@ -133,16 +133,15 @@ def intersected(stations: Stations, rays: ImageRays) -> Intersection:
 
 
 def refuse_other_reading(
-    stations: Stations, readings: Iterable[StationsReading], rays: ImageRays, *, where: str
+    as_stated: Intersection, readings: Iterable[StationsReading], rays: ImageRays, *, where: str
 ) -> None:
     """Refuse (ORIENTATION-READING) stations if rays meet far better by another reading.
 
-    The best of the ``readings`` has to be 1000 times as likely as what is stated, and its residuals
-    less than twice as large as those of an adjusted block, and not larger than those as stated.
-    Where they are larger, the stated reading is less likely only by its few bad rays, which are
-    those of a wrong image.
+    ``as_stated`` : the intersection of ``rays`` with the stations as stated. The best of the
+    ``readings`` has to be 1000 times as likely, and its residuals less than twice as large as those
+    of an adjusted block, and not larger than those as stated. Where they are larger, the stated
+    reading is less likely only by its few bad rays, which are those of a wrong image.
     """
-    as_stated = intersected(stations, rays)
     if as_stated.misfit <= LOG_RATIO_NEEDED:  # nothing can be more likely by as much
         return
     likely: StationsReading | None = None
