@@ -138,12 +138,14 @@ def test_a_receiver_that_is_set_late_is_no_boot_but_a_loss():
 
 
 @pytest.mark.parametrize(("stepped_s", "sigma_s"), [(0.0, 5.0), (2.0, 5.0), (30.0, 30.0)])
-def test_a_recorder_whose_clock_was_set_is_as_good_as_its_step(stepped_s, sigma_s):
+def test_a_clock_without_a_receiver_that_was_set_is_as_good_as_its_step(stepped_s, sigma_s):
+    """A recorder's, or that of an autopilot without a fix."""
     vehicle = Vehicle((10.0, 0.0, 600.0))
-    recorder = vehicle.readings(sigma_s=5.0)
-    recorder.utc_ns[2000:] += round(stepped_s * SECOND)
-    clock, _ = vehicle.fit(recorder=recorder)
-    assert clock.sigma_s == sigma_s
+    readings = vehicle.readings(sigma_s=5.0)
+    readings.utc_ns[2000:] += round(stepped_s * SECOND)
+    by_recorder, _ = vehicle.fit(recorder=readings)
+    by_autopilot, _ = vehicle.fit(readings)
+    assert by_recorder.sigma_s == by_autopilot.sigma_s == sigma_s
 
 
 def test_the_receiver_with_the_most_rows_decides_and_the_other_is_a_loss():

@@ -284,11 +284,7 @@ class _BootSources:
             return self._utc_by(used, is_known=True, sigma_s=self._sigma_s(used))
         if self.recorded:
             used = self.recorded[0]
-            # If the recorder's clock was set during the flight, no row shows whether it was right
-            # before or after: the sigma is at least the spread of its rows.
-            spread_s = used.fit.spread_ns / NANOSECONDS_PER_SECOND
-            sigma_s = max(used.sigma_s, spread_s)
-            return self._utc_by(used, is_known=False, sigma_s=sigma_s)
+            return self._utc_by(used, is_known=False, sigma_s=self._sigma_s(used))
         return _without_utc(self.place)
 
     def _utc_by(self, used: _FittedSource, *, is_known: bool, sigma_s: float) -> BootUtc:
@@ -306,11 +302,14 @@ class _BootSources:
     def _sigma_s(self, used: _FittedSource) -> float:
         """The sigma of the UTC of the ``used`` source [s].
 
-        For a clock that no receiver sets, sigma is at least its difference from the recorder.
+        For a clock that no receiver sets, sigma is at least its difference from the recorder, and
+        the spread of its rows: if it was set during the flight, no row shows whether it was right
+        before or after.
         """
-        sigma_s = used.sigma_s
         if used.readings.is_set_by_receiver:
-            return sigma_s
+            return used.sigma_s
+        spread_s = used.fit.spread_ns / NANOSECONDS_PER_SECOND
+        sigma_s = max(used.sigma_s, spread_s)
         for recorder in self.recorded:
             sigma_s = max(sigma_s, abs(recorder.seconds_from(used)))
         return sigma_s
