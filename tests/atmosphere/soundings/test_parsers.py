@@ -717,6 +717,16 @@ def test_up_and_down_again_is_one_flight():
     assert_allclose(math.degrees(sounding.latitude_rad), 48.0)
 
 
+def test_minutes_in_which_a_drone_turns_are_of_one_ascent():
+    """In the first minutes up to the eighth level, in the last ones to the tenth and down again."""
+    up = rows_of()
+    first = [f"{row},2025-06-12T11:00:00Z" for row in up[:8]]
+    last = [f"{row},2025-06-12T11:10:00Z" for row in [*up[7:], *up[:3:-1]]]
+    sounding, notes = at_station(table_of([*first, *last], ",time_utc"), "2025-06-12T13:00")
+    assert sounding.h_m.size == 10
+    assert "SOUNDING-CHOSEN" not in notes
+
+
 @pytest.mark.parametrize(
     ("column", "field"),
     {

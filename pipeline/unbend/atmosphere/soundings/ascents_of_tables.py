@@ -41,31 +41,30 @@ def columns_of_ascents(
         pressures = [values[rows] for rows in groups]
         sum_of_ranges = sum(map(range_of, pressures))
         repeats_range = sum_of_ranges > MOST_OVERLAP * range_of(values)
-        if repeats_range or two_overlap(pressures):
+        if repeats_range or two_begin_together(pressures):
             return [columns_of_rows(columns, rows) for rows in groups]
     return [dict(columns)]
 
 
-def two_overlap(pressures: Sequence[Array]) -> bool:
-    """Whether two of few groups of levels share more than half of the range of the shorter one.
+def two_begin_together(pressures: Sequence[Array]) -> bool:
+    """Whether two of few groups of levels begin at about the same pressure, as on the ground.
 
-    So it is if one of two ascents ended early. False for more than `MOST_ASCENTS` groups, such as
-    the minutes of an ascent and a descent. ``pressures`` are those of the levels of each group.
+    So it is with two ascents, also if one ended early. Minutes of an ascent and a descent follow
+    each other. ``pressures`` are those of the levels of each group; False for more than
+    `MOST_ASCENTS` groups, which are such minutes.
 
-    >>> two_overlap([np.array([950.0, 700.0]), np.array([950.0, 400.0])])
+    >>> two_begin_together([np.array([950.0, 700.0]), np.array([940.0, 400.0])])
     True
-    >>> two_overlap([np.array([950.0, 700.0]), np.array([700.0, 400.0])])
+    >>> two_begin_together([np.array([950.0, 700.0]), np.array([700.0, 400.0])])
     False
     """
     if len(pressures) > MOST_ASCENTS:
         return False
-    for first, second in combinations(pressures, 2):
+    groups = [group[np.isfinite(group)] for group in pressures if range_of(group) > 0.0]
+    for first, second in combinations(groups, 2):
         shorter_range = min(range_of(first), range_of(second))
-        if shorter_range > 0.0:
-            common_low = max(np.nanmin(first), np.nanmin(second))
-            common_high = min(np.nanmax(first), np.nanmax(second))
-            if common_high - common_low > shorter_range / 2.0:
-                return True
+        if abs(first.max() - second.max()) < shorter_range / 2.0:
+            return True
     return False
 
 
