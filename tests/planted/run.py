@@ -238,10 +238,11 @@ def main():
         for number in range(arguments.jobs):
             parent = Path(folder) / str(number)
             parent.mkdir()
-            newest = Copy(parent)
-            copies.put(newest)
+            copies.put(Copy(parent))
         if not arguments.no_baseline:
-            refuse_failing_tests(newest, bugs)
+            any_copy = copies.get()
+            refuse_failing_tests(any_copy, bugs)
+            copies.put(any_copy)
 
         def try_in_a_copy(bug: Bug) -> Ended:
             copy = copies.get()

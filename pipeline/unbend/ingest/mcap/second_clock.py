@@ -38,8 +38,10 @@ def second_clock_of(
     times are not corrected by the difference of the clocks, because a part of it is the transport
     to the recorder: it counts as sigma.
     """
+    if recorder is None:
+        return None
     of_computer = [samples for samples in series if not samples.counts_from_boot()]
-    if recorder is None or not of_computer:
+    if not of_computer:
         return None
     names = {samples.name for samples in of_computer}
     names |= {f"{name}{SENT}" for name in names}  # `split_by_feedback` may add this to any of them

@@ -220,7 +220,8 @@ class TopicSamples:
 
     def counts_from_boot(self) -> bool:
         """Whether any of the messages has a time since boot."""
-        return self.from_integer and bool(since_boot(_copied(self.stamp_ns)).any())
+        blocks = self.stamp_ns.blocks() if self.from_integer else ()
+        return any(bool(since_boot(block).any()) for block in blocks)
 
     def stamps(self, line: Timeline) -> tuple[Integers, TimeArray]:
         """Places and times since boot [ns] of the messages that have one, without stray stamps."""

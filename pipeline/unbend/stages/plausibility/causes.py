@@ -131,10 +131,9 @@ def cause_of_misses(facts: Facts, ray_hint: str) -> str:
     if not ground_is_above.all():
         # Distance of the camera from the centre of a sphere through the ground, or the sea where
         # the height of the ground is unknown.
-        above_ground_m = np.where(
-            is_unknown, np.maximum(camera_height_m, 0.0), -ground_above_camera_m
-        )[~ground_is_above]
-        camera_radius_m = EARTH_RADIUS_M + above_ground_m
+        above_ground_m = -ground_above_camera_m
+        above_ground_m[is_unknown] = np.maximum(camera_height_m[is_unknown], 0.0)
+        camera_radius_m = EARTH_RADIUS_M + above_ground_m[~ground_is_above]
         dip_of_horizon_rad = np.arccos(EARTH_RADIUS_M / camera_radius_m)
         horizon_rad = np.pi / 2.0 - dip_of_horizon_rad
         above_horizon_deg = np.degrees(nadir_angle_rad[~ground_is_above] - horizon_rad)
